@@ -1,0 +1,10 @@
+//! `ventricle reconstruct`.
+
+/// Arguments of `ventricle reconstruct`.
+#[derive(clap::Args)]
+pub struct Args {}
+
+/// Runs it.
+pub fn run(_args: Args) -> anyhow::Result<()> {
+    anyhow::bail!("not built yet")
+}

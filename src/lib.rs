@@ -1,0 +1,32 @@
+//! Ventricle reconstructs the left ventricle from gated cardiac SPECT.
+//!
+//! Data goes one way through the house: `http → intake → jobs → pipeline → report/export → jobs → http`.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`volume`] | voxels, millimetres and the map between them |
+//! | [`study`] | a gated study: counts on a grid, where it lies in the patient |
+//! | [`mesh`] | closed triangle meshes and what is measured on them |
+//! | [`phantom`] | analytic beating ventricles with exact volumes |
+//! | [`intake`] | bytes → study: DICOM, NIfTI, JSON, with their limits |
+//! | [`pipeline`] | study → reconstruction, pure functions, one file a stage |
+//! | [`report`] | reconstruction → what people read |
+//! | [`export`] | reconstruction → what people look at |
+//! | [`parameters`] | parameters as a client writes them |
+//! | [`jobs`] | what is stored, queued and worked on |
+//! | [`http`] | the service |
+//! | [`config`], [`telemetry`] | settings; logs and metrics |
+
+pub mod config;
+pub mod export;
+pub mod http;
+pub mod intake;
+pub mod jobs;
+pub mod mesh;
+pub mod parameters;
+pub mod phantom;
+pub mod pipeline;
+pub mod report;
+pub mod study;
+pub mod telemetry;
+pub mod volume;

@@ -1,0 +1,40 @@
+//! The `ventricle` binary: each subcommand is a role.
+
+mod commands;
+
+use clap::{Parser, Subcommand};
+
+/// Reconstructs the left ventricle from gated cardiac SPECT.
+#[derive(Parser)]
+#[command(version, about, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs the HTTP service and its workers.
+    Serve(commands::serve::Args),
+    /// Starts a service, posts a beating phantom (or a file) through HTTP and shows the result.
+    Demo(commands::demo::Args),
+    /// Reconstructs a file without a service.
+    Reconstruct(commands::reconstruct::Args),
+    /// Writes a simulated gated study with exactly known volumes.
+    Phantom(commands::phantom::Args),
+    /// Prints the OpenAPI document.
+    Openapi(commands::openapi::Args),
+    /// Asks a running service whether it is ready; exit status 0 if so.
+    Healthcheck(commands::healthcheck::Args),
+}
+
+fn main() -> anyhow::Result<()> {
+    match Cli::parse().command {
+        Command::Serve(args) => commands::serve::run(args),
+        Command::Demo(args) => commands::demo::run(args),
+        Command::Reconstruct(args) => commands::reconstruct::run(args),
+        Command::Phantom(args) => commands::phantom::run(args),
+        Command::Openapi(args) => commands::openapi::run(args),
+        Command::Healthcheck(args) => commands::healthcheck::run(args),
+    }
+}

@@ -1,0 +1,183 @@
+//! From a study to its ventricle: García & Susín's method, section 8 of the paper, one file a stage.
+//!
+//! Pure functions: no clock, files, network, environment or database. The same study and parameters give the same result to the last
+//! bit at any number of threads.
+
+pub mod monitor;
+pub mod parameters;
+
+use crate::{
+    mesh::Mesh,
+    study::{Study, Warning},
+};
+use monitor::Monitor;
+use parameters::Parameters;
+use serde::{Deserialize, Serialize};
+
+/// The two surfaces of the ventricular wall.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Surface {
+    /// The inner surface, around the cavity.
+    Endocardial,
+    /// The outer surface.
+    Epicardial,
+}
+
+impl Surface {
+    /// Both surfaces, inner first.
+    pub const BOTH: [Self; 2] = [Self::Endocardial, Self::Epicardial];
+
+    /// The name used in JSON, glTF and URLs.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Endocardial => "endocardial",
+            Self::Epicardial => "epicardial",
+        }
+    }
+}
+
+/// One value for each surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct PerSurface<T> {
+    /// Of the inner surface.
+    pub endocardial: T,
+    /// Of the outer surface.
+    pub epicardial: T,
+}
+
+impl<T> PerSurface<T> {
+    /// The value of one surface.
+    pub fn get(&self, surface: Surface) -> &T {
+        match surface {
+            Surface::Endocardial => &self.endocardial,
+            Surface::Epicardial => &self.epicardial,
+        }
+    }
+}
+
+/// A fitted surface and how it was reached.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// The surface in grid mm.
+    pub mesh: Mesh,
+    /// Time steps until all particles were frozen or the evolution was ended.
+    pub steps: usize,
+    /// Fraction of particles that froze on the border, 0-1.
+    pub frozen: f64,
+    /// Fraction of particles less than one voxel (the largest spacing) from a border voxel's centre, 0-1. Says how far the evolution
+    /// converged (the paper's Table 1), not how right the surface is.
+    pub within_one_voxel: f64,
+    /// Mean distance of the particles to the nearest border voxel's centre, in mm.
+    pub mean_distance_mm: f64,
+    /// Relative residual of the gradient vector flow the particles followed, one a component of the field (x, y, z).
+    pub gvf_residual: [f64; 3],
+    /// Iterations of that solve, likewise.
+    pub gvf_iterations: [usize; 3],
+}
+
+/// One gate's result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GateReconstruction {
+    /// Both surfaces.
+    pub fits: PerSurface<Fit>,
+}
+
+impl GateReconstruction {
+    /// Volume inside a surface, up to the valve plane, in ml.
+    pub fn volume_ml(&self, surface: Surface) -> f64 {
+        self.fits.get(surface).mesh.volume_ml()
+    }
+
+    /// Volume between the surfaces in ml.
+    pub fn myocardial_ml(&self) -> f64 {
+        self.volume_ml(Surface::Epicardial) - self.volume_ml(Surface::Endocardial)
+    }
+}
+
+/// Where the ventricle was looked for: the marks that were given and, for the rest, the estimates.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Region {
+    /// Centre `[x, y]` in grid mm.
+    pub centre_mm: [f64; 2],
+    /// Radius of the filtering circle in mm.
+    pub radius_mm: f64,
+    /// First useful slice, counted from 1.
+    pub first_slice: usize,
+    /// Last useful slice, counted from 1.
+    pub last_slice: usize,
+    /// Whether the base is at the last slice (`false`: at the first; the stack runs from base to apex).
+    pub base_at_last_slice: bool,
+}
+
+/// The reconstructed cycle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reconstruction {
+    /// One result a gate of the study, in order.
+    pub gates: Vec<GateReconstruction>,
+    /// Where the ventricle was found.
+    pub region: Region,
+    /// The parameters used.
+    pub parameters: Parameters,
+    /// What the reader should know.
+    pub warnings: Vec<Warning>,
+}
+
+/// Why a study could not be reconstructed. Each is a sentence for the user and has a stable code.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PipelineError {
+    /// The monitor said stop.
+    #[error("The reconstruction was cancelled.")]
+    Cancelled,
+    /// Nothing in the counts looks like a left ventricle.
+    #[error("No left ventricle was found: {why}. Send a short-axis reconstruction of the heart, or mark the ventricle with `region`.")]
+    NoLeftVentricle {
+        /// What was looked for and not found.
+        why: String,
+    },
+    /// A mark given in the request does not fit the study.
+    #[error("The given region does not fit the study: {why}.")]
+    RegionOutside {
+        /// Which mark, its value and the limits.
+        why: String,
+    },
+    /// A gate has no usable border.
+    #[error("Gate {gate}: no {} border was found: {why}.", surface.name())]
+    NoBorder {
+        /// Counted from 1.
+        gate: usize,
+        /// Which border.
+        surface: Surface,
+        /// What was looked for and not found.
+        why: String,
+    },
+    /// The evolution ended in something that is not a ventricle.
+    #[error("Gate {gate}: the {} mesh did not converge: {why}.", surface.name())]
+    NotConverged {
+        /// Counted from 1.
+        gate: usize,
+        /// Which surface.
+        surface: Surface,
+        /// What went wrong.
+        why: String,
+    },
+}
+
+impl PipelineError {
+    /// The stable code of the problem.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Cancelled => "cancelled",
+            Self::NoLeftVentricle { .. } => "no_left_ventricle",
+            Self::RegionOutside { .. } => "region_outside_study",
+            Self::NoBorder { .. } => "no_border",
+            Self::NotConverged { .. } => "not_converged",
+        }
+    }
+}
+
+/// Reconstructs every gate of a study.
+pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
+    let _ = (study, parameters, monitor);
+    Err(PipelineError::NoLeftVentricle { why: "not yet built".into() })
+}

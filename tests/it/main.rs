@@ -1,0 +1,13 @@
+//! The one integration-test binary; modules by subject.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, missing_docs)]
+
+mod hostile;
+mod http;
+mod imports;
+mod intake;
+mod jobs;
+mod openapi;
+mod phantom;
+mod pipeline;
+mod restart;
+mod surfaces;
