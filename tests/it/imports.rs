@@ -355,7 +355,7 @@ fn paths(tokens: &[(usize, Token)], module_path: &[String]) -> Vec<(usize, Vec<S
         let inner = braces.iter().flatten();
         let here: Vec<String> = module_path.iter().chain(inner).cloned().collect();
         let in_use = index > 0 && name(index - 1) == Some("use")
-            || index > 0 && name(index - 1) == Some("crate") && name(index - 2) == Some("extern");
+            || index > 1 && name(index - 1) == Some("crate") && name(index - 2) == Some("extern");
         for path in collected {
             if path.len() > 1 || in_use {
                 found.push((line, resolve(path, &here)));
