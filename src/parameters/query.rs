@@ -3,6 +3,9 @@
 use super::ParameterError;
 use serde_json::{Map, Value};
 
+/// Dots in a name before it is refused unread: the parameters have one, and nesting costs stack.
+const MAX_SECTIONS: usize = 8;
+
 /// Parameters from a query string's pairs, nested by dots: `mesh.level=4` is `{"mesh": {"level": 4}}`. Values are read as JSON and, where
 /// they are none, as text.
 pub fn from_query(pairs: &[(String, String)]) -> Result<Value, ParameterError> {
@@ -13,6 +16,9 @@ pub fn from_query(pairs: &[(String, String)]) -> Result<Value, ParameterError> {
             Some((sections, field)) => (sections.split('.').collect::<Vec<_>>(), field),
             None => (Vec::new(), key.as_str()),
         };
+        if sections.len() > MAX_SECTIONS {
+            return Err(ParameterError::one("unknown_parameter", &pointer, "A parameter of the query is nested too deeply."));
+        }
         let mut object = &mut root;
         for section in sections {
             let next = object.entry(section).or_insert_with(|| Value::Object(Map::new()));
