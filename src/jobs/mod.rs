@@ -1,1 +1,34 @@
-//! (to be written)
+//! What is accepted, queued, worked on and kept.
+//!
+//! A job is accepted when its row and its input are committed to disk, not before; it is finished when its results and its final
+//! state are committed together. Between the two it may be claimed by any worker, which holds it by a lease it must keep renewing. The
+//! number of the attempt is counted at the claim and named in every later statement of the worker (a fencing token): a worker that lost
+//! its lease can no longer change anything.
+//!
+//! | file | what it is |
+//! |---|---|
+//! | `job.rs` | what a caller sees of a job |
+//! | [`store`] | the rows: submit, read, list, delete |
+//! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
+//! | `queue.rs` | limits, reservations and the measured rate |
+//! | `worker.rs`, `reaper.rs` | who works and who takes back what lost workers held |
+//! | `progress.rs` | how a running reconstruction is watched and stopped |
+//! | `work.rs` | what a job computes: reconstruction, report, surfaces |
+//! | `input.rs` | the stored form of a study |
+//! | `database.rs`, `schema.rs` | one SQL text on two engines |
+
+mod error;
+mod job;
+mod progress;
+mod queue;
+pub mod store;
+pub mod work;
+mod worker;
+
+pub use error::{QueueFull, StoreError, SubmitError};
+pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
+pub use progress::{Progress, Snapshot};
+pub use queue::Reservation;
+pub use store::{Backend, Store, StoreSettings};
+pub use work::{Output, Work, WorkError};
+pub use worker::{Drained, WorkerSettings, Workers, start_workers};
