@@ -270,7 +270,7 @@ fn tokens(text: &str) -> Vec<(usize, Token)> {
                 }
             }
             'r' if at(index + 1) == '"' || (at(index + 1) == '#' && matches!(at(index + 2), '"' | '#')) => {
-                let hashes = (index + 1..).take_while(|&i| at(i) == '#').count();
+                let hashes = (index + 1..characters.len()).take_while(|&i| at(i) == '#').count();
                 index += hashes + 2;
                 while index < characters.len() && !(at(index) == '"' && (1..=hashes).all(|i| at(index + i) == '#')) {
                     index += 1;
@@ -292,7 +292,7 @@ fn tokens(text: &str) -> Vec<(usize, Token)> {
                 index += 1;
             }
             '\'' if at(index + 2) == '\'' => index += 3,
-            '\'' => index += 1 + (index + 1..).take_while(|&i| is_name(at(i))).count(),
+            '\'' => index += 1 + (index + 1..characters.len()).take_while(|&i| is_name(at(i))).count(),
             c if is_name(c) => {
                 while is_name(at(index)) {
                     index += 1;
