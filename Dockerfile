@@ -1,9 +1,8 @@
 # syntax=docker/dockerfile:1
 
-FROM rust:1.95-bookworm AS build
+# The version of rust-toolchain.toml, which is not copied: it asks for rustfmt and clippy too.
+FROM rust:1.95.0-bookworm AS build
 WORKDIR /build
-# The toolchain of the image, whatever rust-toolchain.toml asks for besides it.
-ENV RUSTUP_TOOLCHAIN=1.95.0 CARGO_TERM_COLOR=never
 # Dependencies first: this layer is built again only when the manifest or the lock file changes. The manifest names the integration
 # tests, so cargo wants their file to exist.
 COPY Cargo.toml Cargo.lock ./

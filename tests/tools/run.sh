@@ -5,7 +5,7 @@ cd "$(dirname "$0")/../.."
 
 # --show-output, as a test that skips itself says so and passes; the output of other passing tests is dropped here.
 cargo test --locked --no-fail-fast "$@" -- --show-output 2>&1 | awk '
-  /^ *Running / || /^ *Doc-tests / { name = $0; sub(/^ */, "", name); sub(/ \([^)]*\)$/, "", name) }
+  /^ *Running / || /^ *Doc-tests / { name = $0; sub(/^ *(Running )?/, "", name); sub(/ \([^)]*\)$/, "", name) }
   /^successes:$/ { quiet = 1 }
   /^failures:$/ || /^test result:/ { quiet = 0 }
   match($0, /skipped: .*/) { line = substr($0, RSTART); if (!(line in skips)) { skips[line] = 1; skipped[++s] = line } }
