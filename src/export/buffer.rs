@@ -46,8 +46,8 @@ impl Arrays {
         }
         let offset = self.triangles.len();
         let indices = triangles.iter().flatten();
-        // 65535 restarts a primitive in 16 bits, so the last usable index is one less.
-        let kind = if vertices <= usize::from(u16::MAX) {
+        // Index 65535 would restart a primitive in 16 bits; with 65535 vertices the last index is 65534.
+        let kind = if u16::try_from(vertices).is_ok() {
             self.triangles.extend(indices.flat_map(|&index| (index as u16).to_le_bytes()));
             ComponentType::U16
         } else {

@@ -17,16 +17,23 @@
 //! | `input.rs` | the stored form of a study |
 //! | `database.rs`, `schema.rs` | one SQL text on two engines |
 
+mod database;
 mod error;
+pub mod input;
 mod job;
+mod lease;
 mod progress;
 mod queue;
+mod reaper;
+mod schema;
 pub mod store;
+mod watch;
 pub mod work;
 mod worker;
 
 pub use error::{QueueFull, StoreError, SubmitError};
 pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
+pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
 pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;
 pub use store::{Backend, Store, StoreSettings};

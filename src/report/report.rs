@@ -215,7 +215,7 @@ pub struct Quality {
 /// One thing the reader should know.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Remark {
-    /// Stable snake_case code.
+    /// Stable `snake_case` code.
     pub code: String,
     /// One sentence.
     pub message: String,

@@ -9,5 +9,6 @@ mod jobs;
 mod openapi;
 mod phantom;
 mod pipeline;
+mod report;
 mod restart;
 mod surfaces;
