@@ -29,10 +29,7 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tower_http::{catch_panic::CatchPanicLayer, timeout::TimeoutLayer};
 use utoipa::OpenApi as _;
-use utoipa_axum::{
-    router::{OpenApiRouter, UtoipaMethodRouterExt},
-    routes,
-};
+use utoipa_axum::{router::OpenApiRouter, routes};
 
 /// Studies parsed at once. One takes up to some 300 MB ([`intake::Limits`]); parsing is short beside reconstructing.
 const PARSED_AT_ONCE: usize = 2;
