@@ -93,8 +93,7 @@ impl Database {
     /// Opens the database of a data directory, for this process alone. Fails with [`StoreError::DirectoryInUse`] when another
     /// process has it and keeps it longer than `wait`.
     pub(super) async fn sqlite(directory: &Path, wait: Duration) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(directory)
-            .map_err(|source| StoreError::Directory { directory: directory.to_path_buf(), source })?;
+        std::fs::create_dir_all(directory).map_err(|source| StoreError::Directory { directory: directory.to_path_buf(), source })?;
         let options = SqliteConnectOptions::new()
             .filename(directory.join(FILE_NAME))
             .create_if_missing(true)
@@ -242,9 +241,7 @@ impl Transaction {
     pub(super) async fn fetch(&mut self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
         let sql = sql.to_owned();
         Ok(match self {
-            Self::Sqlite(transaction) => {
-                bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Sqlite).collect()
-            }
+            Self::Sqlite(transaction) => bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Sqlite).collect(),
             Self::Postgres(transaction) => {
                 bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Postgres).collect()
             }

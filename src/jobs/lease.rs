@@ -128,11 +128,10 @@ impl Store {
             Outcome::Cancelled => (State::Cancelled, Vec::new(), None),
         };
         let error = error.map(|error| serde_json::to_string(&error)).transpose().unwrap_or_default();
-        let outputs = tokio::task::spawn_blocking(move || {
-            outputs.into_iter().map(|output| (sha256(&output.data), output)).collect::<Vec<_>>()
-        })
-        .await
-        .map_err(|_| StoreError::Interrupted)?;
+        let outputs =
+            tokio::task::spawn_blocking(move || outputs.into_iter().map(|output| (sha256(&output.data), output)).collect::<Vec<_>>())
+                .await
+                .map_err(|_| StoreError::Interrupted)?;
         let sql = self.inner.database.render(
             "UPDATE jobs SET state = CASE WHEN cancel_requested THEN 'cancelled' ELSE $3 END,
                 error = CASE WHEN cancel_requested THEN NULL ELSE $4 END,
@@ -191,7 +190,8 @@ impl Store {
         let database = &self.inner.database;
         let lost = JobError {
             code: "worker_lost".into(),
-            message: "Every worker that took the job was lost before it finished. The input may need more memory than the service has.".into(),
+            message: "Every worker that took the job was lost before it finished. The input may need more memory than the service has."
+                .into(),
         };
         let lost = serde_json::to_string(&lost).unwrap_or_default();
         let sql = format!(
@@ -212,8 +212,8 @@ impl Store {
         let mut queued = Load::default();
         for row in &rows {
             let id = parse_id(&row.get::<String>(0)?)?;
-            let state = State::from_name(&row.get::<String>(1)?)
-                .ok_or_else(|| StoreError::Damaged { what: format!("state of job {id}") })?;
+            let state =
+                State::from_name(&row.get::<String>(1)?).ok_or_else(|| StoreError::Damaged { what: format!("state of job {id}") })?;
             if state.is_final() {
                 self.drop_input(&mut transaction, id).await?;
             } else {

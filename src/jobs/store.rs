@@ -141,7 +141,8 @@ impl Store {
                 tracing::info!(jobs = reaped.len(), "continuing what was running when the last process ended");
             }
         }
-        store.count_queue().await?;
+        let counts = store.counts().await?;
+        store.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
         Ok(store)
     }
 
@@ -304,12 +305,8 @@ impl Store {
         let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(input_bytes), 0) AS BIGINT), {now} - MIN(created_at),
             (SELECT COUNT(*) FROM jobs WHERE state = 'running') FROM jobs WHERE state = 'queued'";
         let (limit, reserved) = (self.inner.queue.limit(), self.inner.queue.reserved());
-        let mut counts = Counts {
-            reserved: reserved.jobs,
-            max_queued_jobs: limit.jobs,
-            max_queued_bytes: limit.bytes,
-            ..Counts::default()
-        };
+        let mut counts =
+            Counts { reserved: reserved.jobs, max_queued_jobs: limit.jobs, max_queued_bytes: limit.bytes, ..Counts::default() };
         if let Some(row) = self.inner.database.fetch_one(sql, vec![]).await? {
             counts.queued = row.get::<i64>(0)? as u64;
             counts.queued_bytes = row.get::<i64>(1)? as u64;
@@ -324,11 +321,14 @@ impl Store {
         self.inner.database.fetch_one("SELECT version FROM schema_version", vec![]).await.map(drop)
     }
 
-    /// Takes the queue's counts from the rows.
-    pub(super) async fn count_queue(&self) -> Result<(), StoreError> {
+    /// Tells the metrics what the rows say and, where other processes change them too, the queue.
+    pub(super) async fn publish_counts(&self) -> Result<(), StoreError> {
         let counts = self.counts().await?;
-        self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        if self.inner.database.is_shared() {
+            self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        }
         metrics::gauge!("ventricle_jobs_running").set(counts.running as f64);
+        metrics::gauge!("ventricle_queue_oldest_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
         Ok(())
     }
 
