@@ -12,14 +12,18 @@ use std::{convert::Infallible, time::Duration};
 
 /// Most parts of a multipart body: one slice a file of the largest stack, and its parameters. Beyond it, headers cost more than content.
 const MOST_PARTS: usize = 4097;
+/// Most bytes of the part `parameters`: parsed JSON takes many times its text.
+const MOST_PARAMETER_BYTES: usize = 256 << 10;
 /// Longest boundary: Orthanc's have 73 characters where RFC 2046 allows 70.
 const LONGEST_BOUNDARY: usize = 256;
 
 /// Why a body could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum BodyError {
+pub(super) enum BodyError {
     /// More bytes than are accepted.
-    #[error("The request has more than the {limit} bytes that are accepted. Compress the study (NIfTI .nii.gz) or send one series at a time.")]
+    #[error(
+        "The request has more than the {limit} bytes that are accepted. Compress the study (NIfTI .nii.gz) or send one series at a time."
+    )]
     TooLarge {
         /// The limit.
         limit: u64,
@@ -37,7 +41,9 @@ pub enum BodyError {
     #[error("The header Content-Length is not a number.")]
     ContentLength,
     /// Multipart without a usable boundary.
-    #[error("The Content-Type is multipart but names no boundary. Send `multipart/form-data; boundary=…` or `multipart/related; …; boundary=…`.")]
+    #[error(
+        "The Content-Type is multipart but names no boundary. Send `multipart/form-data; boundary=…` or `multipart/related; …; boundary=…`."
+    )]
     NoBoundary,
     /// Multipart that does not follow its grammar.
     #[error("The multipart body is malformed: {why}. Check that the boundary in the Content-Type is the one in the body.")]
@@ -50,6 +56,14 @@ pub enum BodyError {
     ParametersNotJson {
         /// What the parser met.
         why: String,
+    },
+    /// The part `parameters` is larger than any parameters are.
+    #[error("The part `parameters` has {bytes} bytes, more than the {limit} that parameters may have.")]
+    ParametersTooLarge {
+        /// Bytes sent.
+        bytes: usize,
+        /// The limit.
+        limit: usize,
     },
     /// Parameters twice.
     #[error("The multipart body has more than one part `parameters`.")]
@@ -64,9 +78,9 @@ pub enum BodyError {
 
 impl BodyError {
     /// The stable code of the problem.
-    pub fn code(&self) -> &'static str {
+    pub(super) fn code(&self) -> &'static str {
         match self {
-            Self::TooLarge { .. } => "too_large",
+            Self::TooLarge { .. } | Self::ParametersTooLarge { .. } => "too_large",
             Self::TooSlow { .. } => "request_timeout",
             Self::Interrupted => "incomplete_body",
             Self::ContentLength => "invalid_content_length",
@@ -78,14 +92,14 @@ impl BodyError {
 }
 
 /// The bytes a request announces: its `Content-Length`, or the limit when it comes in chunks.
-pub fn announced(headers: &HeaderMap, limit: u64) -> Result<u64, BodyError> {
+pub(super) fn announced(headers: &HeaderMap, limit: u64) -> Result<u64, BodyError> {
     let Some(length) = headers.get(header::CONTENT_LENGTH) else { return Ok(limit) };
     let length: u64 = length.to_str().ok().and_then(|text| text.parse().ok()).ok_or(BodyError::ContentLength)?;
     if length > limit { Err(BodyError::TooLarge { limit }) } else { Ok(length) }
 }
 
 /// Reads a whole body of at most `limit` bytes within a time.
-pub async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
+pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
     tokio::time::timeout(within, collect(body, limit)).await.unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
 }
 
@@ -104,7 +118,7 @@ async fn collect(body: Body, limit: u64) -> Result<Bytes, BodyError> {
 
 /// One file of a submission.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct File {
+pub(super) struct File {
     /// Declared media type, without its parameters.
     pub media_type: Option<String>,
     /// Declared name.
@@ -115,7 +129,7 @@ pub struct File {
 
 /// A submission taken apart: its files and the part `parameters`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Upload {
+pub(super) struct Upload {
     /// The files, in the order sent.
     pub files: Vec<File>,
     /// The part `parameters` of a multipart body.
@@ -124,7 +138,7 @@ pub struct Upload {
 
 impl Upload {
     /// Takes a body apart by its `Content-Type`. What is not multipart is one file.
-    pub fn new(content_type: Option<&str>, bytes: Bytes) -> Result<Self, BodyError> {
+    pub(super) fn new(content_type: Option<&str>, bytes: Bytes) -> Result<Self, BodyError> {
         let media_type = content_type.map(essence).filter(|essence| !essence.is_empty());
         match (content_type, media_type.as_deref()) {
             (Some(content_type), Some(multipart)) if multipart.starts_with("multipart/") => {
@@ -139,7 +153,7 @@ impl Upload {
 
     /// SHA-256 of what the request says, to tell a retry from another request: files, parameters and query, each with its length. The
     /// boundary of a multipart body is not in it, since clients choose another one for each attempt.
-    pub fn hash(&self, query: &[(String, String)]) -> [u8; 32] {
+    pub(super) fn hash(&self, query: &[(String, String)]) -> [u8; 32] {
         let mut hash = Sha256::new();
         let mut add = |bytes: &[u8]| {
             hash.update((bytes.len() as u64).to_le_bytes());
@@ -168,6 +182,9 @@ async fn parts(boundary: String, bytes: Bytes) -> Result<Upload, BodyError> {
         let media_type = field.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(essence);
         let bytes = field.bytes().await.map_err(malformed)?;
         if is_parameters {
+            if bytes.len() > MOST_PARAMETER_BYTES {
+                return Err(BodyError::ParametersTooLarge { bytes: bytes.len(), limit: MOST_PARAMETER_BYTES });
+            }
             let value = serde_json::from_slice(&bytes).map_err(|error| BodyError::ParametersNotJson { why: error.to_string() })?;
             if upload.parameters.replace(value).is_some() {
                 return Err(BodyError::SeveralParameters);
@@ -208,7 +225,7 @@ fn boundary(content_type: &str) -> Option<String> {
 }
 
 /// Parameters of part and body and query in one: what stands nearer to the request wins, the query before the part before the body.
-pub fn merged_parameters(body: Option<Value>, part: Option<Value>, query: Value) -> Value {
+pub(super) fn merged_parameters(body: Option<Value>, part: Option<Value>, query: Value) -> Value {
     let mut merged = body.unwrap_or(Value::Object(serde_json::Map::new()));
     for over in part.into_iter().chain([query]).filter(|over| over.as_object().is_none_or(|fields| !fields.is_empty())) {
         parameters::merge(&mut merged, over);

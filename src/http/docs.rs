@@ -1,9 +1,7 @@
 //! The contract, its reference page, and what stands at the root.
 
 use super::{AppState, problem::Problem};
-use crate::{
-    parameters::{self, Description},
-};
+use crate::parameters::{self, Description};
 use axum::{
     Json, Router,
     extract::State,
@@ -35,11 +33,11 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
     ),
     components(schemas(parameters::Request, Problem)),
 )]
-pub struct Contract;
+pub(super) struct Contract;
 
 /// All parameters.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct ParameterList {
+pub(super) struct ParameterList {
     /// What is used when nothing is given.
     #[schema(value_type = parameters::Request)]
     pub defaults: crate::pipeline::parameters::Parameters,
@@ -52,7 +50,7 @@ pub struct ParameterList {
     get, path = "/v1/parameters", operation_id = "listParameters", tag = "parameters",
     responses((status = 200, description = "All parameters", body = ParameterList)),
 )]
-pub async fn list_parameters() -> Json<ParameterList> {
+pub(super) async fn list_parameters() -> Json<ParameterList> {
     Json(ParameterList { defaults: crate::pipeline::parameters::Parameters::paper(), parameters: parameters::describe() })
 }
 
@@ -61,17 +59,17 @@ pub async fn list_parameters() -> Json<ParameterList> {
     get, path = "/openapi.json", operation_id = "openapi", tag = "operation",
     responses((status = 200, description = "OpenAPI 3.1", body = Object)),
 )]
-pub async fn openapi(State(state): State<AppState>) -> impl IntoResponse {
+pub(super) async fn openapi(State(state): State<AppState>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-cache")], state.openapi.to_string())
 }
 
 /// The reference page, with its assets from inside the program: it works without a network.
-pub fn reference() -> Router<AppState> {
+pub(super) fn reference() -> Router<AppState> {
     SwaggerUi::new("/docs").config(Config::from("/openapi.json").try_it_out_enabled(true).display_request_duration(true)).into()
 }
 
 /// What stands at the root until the viewer is built.
-pub async fn root() -> Html<&'static str> {
+pub(super) async fn root() -> Html<&'static str> {
     Html(concat!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Ventricle</title>",
         "<style>body{font:1.1rem/1.6 system-ui,sans-serif;max-width:40rem;margin:4rem auto;padding:0 1rem}</style>",

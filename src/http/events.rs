@@ -16,7 +16,7 @@ use std::{convert::Infallible, time::Duration};
 /// Time between comments that keep idle connections open: below the usual 60 s of proxies.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Longest single wait for a change; only bounds how long a forgotten wait lives.
-const WAIT: Duration = Duration::from_secs(60);
+const WAIT: Duration = Duration::from_mins(1);
 
 /// Follows a reconstruction.
 ///
@@ -36,7 +36,7 @@ const WAIT: Duration = Duration::from_secs(60);
         (status = 406, description = "`Accept` excludes `text/event-stream`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn events(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn events(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, "text/event-stream")?;
     let job = state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     let seen = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.trim().parse::<i64>().ok());

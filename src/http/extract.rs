@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use uuid::Uuid;
 
 /// The query string.
-pub struct Query<T>(pub T);
+pub(super) struct Query<T>(pub T);
 
 impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Query<T> {
     type Rejection = Problem;
@@ -21,7 +21,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Query<T> {
 }
 
 /// The id of a reconstruction in the path.
-pub struct Id(pub Uuid);
+pub(super) struct Id(pub Uuid);
 
 impl<S: Send + Sync> FromRequestParts<S> for Id {
     type Rejection = Problem;
@@ -33,7 +33,7 @@ impl<S: Send + Sync> FromRequestParts<S> for Id {
 }
 
 /// The id of a reconstruction and a gate, counted from 1, in the path.
-pub struct IdAndGate(pub Uuid, pub u32);
+pub(super) struct IdAndGate(pub Uuid, pub u32);
 
 impl<S: Send + Sync> FromRequestParts<S> for IdAndGate {
     type Rejection = Problem;

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 /// The service answers.
 #[derive(Debug, Clone, Serialize, ToSchema)]
-pub struct Alive {
+pub(super) struct Alive {
     /// Always `alive`.
     #[schema(example = "alive")]
     pub status: &'static str,
@@ -22,7 +22,7 @@ pub struct Alive {
 
 /// Whether the service can take work.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-pub struct Ready {
+pub(super) struct Ready {
     /// Always `ready`; a service that is not answers 503 with a problem.
     #[schema(example = "ready")]
     pub status: &'static str,
@@ -71,7 +71,7 @@ impl Checks {
 ///
 /// Looks at nothing: restart the service only when this fails.
 #[utoipa::path(get, path = "/healthz", operation_id = "healthz", tag = "operation", responses((status = 200, description = "It lives", body = Alive)))]
-pub async fn healthz() -> Json<Alive> {
+pub(super) async fn healthz() -> Json<Alive> {
     Json(Alive { status: "alive", version: env!("CARGO_PKG_VERSION") })
 }
 
@@ -83,9 +83,10 @@ pub async fn healthz() -> Json<Alive> {
         (status = 503, description = "It cannot; `checks` says why", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>, Problem> {
+pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>, Problem> {
     let checks = checks(&state).await;
-    let failing: Vec<_> = checks.all().into_iter().filter(|(_, check)| !check.ok).map(|(name, check)| format!("{name}: {}", check.detail)).collect();
+    let failing: Vec<_> =
+        checks.all().into_iter().filter(|(_, check)| !check.ok).map(|(name, check)| format!("{name}: {}", check.detail)).collect();
     if failing.is_empty() {
         return Ok(Json(Ready { status: "ready", checks }));
     }
@@ -101,7 +102,8 @@ async fn checks(state: &AppState) -> Checks {
     let queue = match state.store.counts().await {
         Ok(counts) => {
             let (jobs, mib) = (counts.queued + counts.reserved, counts.queued_bytes >> 20);
-            let detail = format!("{jobs} of {} jobs and {mib} of {} MiB are waiting", counts.max_queued_jobs, counts.max_queued_bytes >> 20);
+            let detail =
+                format!("{jobs} of {} jobs and {mib} of {} MiB are waiting", counts.max_queued_jobs, counts.max_queued_bytes >> 20);
             Check::new(jobs < counts.max_queued_jobs && counts.queued_bytes < counts.max_queued_bytes, detail)
         }
         Err(_) => Check::new(false, "cannot be counted"),
@@ -132,7 +134,7 @@ async fn disk(state: &AppState) -> Check {
     get, path = "/metrics", operation_id = "metrics", tag = "operation",
     responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")),
 )]
-pub async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
+pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
     if let Ok(counts) = state.store.counts().await {
         metrics::gauge!("ventricle_jobs", "state" => "queued").set(counts.queued as f64);
         metrics::gauge!("ventricle_jobs", "state" => "running").set(counts.running as f64);

@@ -15,12 +15,12 @@ use tracing::Instrument;
 use uuid::Uuid;
 
 /// Header of the request's id, in and out.
-pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Longest id taken over from a client.
 const LONGEST_ID: usize = 128;
 
 /// Gives the request an id (the client's own, if it sends a usable one), logs and counts it, and finishes the answer.
-pub async fn observe(request: Request, next: Next) -> Response {
+pub(super) async fn observe(request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     let method = request.method().clone();
@@ -104,14 +104,15 @@ fn record(method: &Method, matched: &str, status: u16, began: Instant) {
 }
 
 /// A panic of a handler, as a problem that says nothing of the inside.
-pub fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
+#[expect(clippy::needless_pass_by_value, reason = "the shape that the layer calls")]
+pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
     tracing::error!(panic = text, "a handler panicked");
     Problem::internal().into_response()
 }
 
 /// The layer that lets pages of other origins call the service, if any may.
-pub fn cors(cors: &Cors) -> Option<CorsLayer> {
+pub(super) fn cors(cors: &Cors) -> Option<CorsLayer> {
     let origins = match cors {
         Cors::Off => return None,
         Cors::Any => AllowOrigin::any(),
@@ -126,6 +127,6 @@ pub fn cors(cors: &Cors) -> Option<CorsLayer> {
         .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::DELETE])
         .allow_headers([header::ACCEPT, header::CONTENT_TYPE, header::IF_NONE_MATCH, REQUEST_ID, prefer, last_event_id, idempotency_key])
         .expose_headers([header::ETAG, header::LOCATION, header::RETRY_AFTER, REQUEST_ID, preference_applied])
-        .max_age(std::time::Duration::from_secs(3600));
+        .max_age(std::time::Duration::from_hours(1));
     Some(layer)
 }

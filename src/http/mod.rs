@@ -3,6 +3,8 @@
 //! A handler extracts, makes one domain call and shows the answer; errors of all layers become problem documents in [`problem`] and nowhere
 //! else. The OpenAPI document is made from the very routes that serve.
 
+#![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
+
 mod body;
 mod docs;
 mod events;
@@ -64,7 +66,7 @@ impl AppState {
         Self {
             store,
             limits: Arc::default(),
-            upload_time: Duration::from_secs(120),
+            upload_time: Duration::from_mins(2),
             parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
             workers_alive: Arc::new(|| true),
             disk: None,

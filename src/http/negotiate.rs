@@ -9,14 +9,15 @@ const LONGEST_WAIT: Duration = Duration::from_secs(30);
 /// The client accepts nothing of what is offered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("Here is only {offered}, which the header Accept of the request does not allow.")]
-pub struct NotAcceptable {
+pub(super) struct NotAcceptable {
     /// The one media type there is.
     pub offered: &'static str,
 }
 
 /// Whether `Accept` (RFC 9110 §12.5.1) allows the one media type there is. No header allows everything. The most specific range decides.
-pub fn acceptable(headers: &HeaderMap, offered: &'static str) -> Result<(), NotAcceptable> {
-    let mut listed = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(',')).peekable();
+pub(super) fn acceptable(headers: &HeaderMap, offered: &'static str) -> Result<(), NotAcceptable> {
+    let mut listed =
+        headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(',')).peekable();
     if listed.peek().is_none() {
         return Ok(());
     }
@@ -40,7 +41,7 @@ pub fn acceptable(headers: &HeaderMap, offered: &'static str) -> Result<(), NotA
 }
 
 /// Whether `If-None-Match` names this entity tag (weak comparison, RFC 9110 §13.1.2).
-pub fn none_match(headers: &HeaderMap, etag: &str) -> bool {
+pub(super) fn none_match(headers: &HeaderMap, etag: &str) -> bool {
     let opaque = |tag: &str| tag.trim().trim_start_matches("W/").to_owned();
     let wanted = opaque(etag);
     let mut listed = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(','));
@@ -48,7 +49,7 @@ pub fn none_match(headers: &HeaderMap, etag: &str) -> bool {
 }
 
 /// The time of `Prefer: wait=N` (RFC 7240 §4.3), at most [`LONGEST_WAIT`].
-pub fn wait(headers: &HeaderMap) -> Option<Duration> {
+pub(super) fn wait(headers: &HeaderMap) -> Option<Duration> {
     let prefer = HeaderName::from_static("prefer");
     let mut listed = headers.get_all(prefer).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split([',', ';']));
     let seconds = listed.find_map(|preference| {

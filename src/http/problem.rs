@@ -17,7 +17,7 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 /// Media type of a problem document.
-pub const PROBLEM_JSON: &str = "application/problem+json";
+pub(super) const PROBLEM_JSON: &str = "application/problem+json";
 
 /// Why a request was refused or a reconstruction failed (RFC 9457). Programs branch on `code`; `detail` is a sentence for people that says
 /// what was received, what is wrong and what to do.
@@ -35,7 +35,7 @@ pub struct Problem {
     pub title: String,
     /// The HTTP status.
     pub status: u16,
-    /// Stable snake_case name of the reason.
+    /// Stable `snake_case` name of the reason.
     pub code: String,
     /// What happened, for people.
     pub detail: String,
@@ -63,7 +63,7 @@ pub struct Problem {
 
 impl Problem {
     /// A problem with a stable code and a sentence.
-    pub fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
+    pub(super) fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
         Self {
             kind: format!("urn:problem-type:ventricle:{code}"),
             title: status.canonical_reason().unwrap_or("Error").to_owned(),
@@ -80,10 +80,12 @@ impl Problem {
     }
 
     /// The problem of a response that has only a status, as the router and the layers make them.
-    pub fn of_status(status: StatusCode) -> Self {
+    pub(super) fn of_status(status: StatusCode) -> Self {
         let (code, detail) = match status {
             StatusCode::NOT_FOUND => ("not_found", "There is nothing at this path. /docs lists what there is."),
-            StatusCode::METHOD_NOT_ALLOWED => ("method_not_allowed", "This path does not know the method; the header Allow lists those it knows."),
+            StatusCode::METHOD_NOT_ALLOWED => {
+                ("method_not_allowed", "This path does not know the method; the header Allow lists those it knows.")
+            }
             StatusCode::PAYLOAD_TOO_LARGE => ("too_large", "The request is larger than the service accepts."),
             StatusCode::REQUEST_TIMEOUT => ("request_timeout", "The request did not arrive in time."),
             StatusCode::SERVICE_UNAVAILABLE => ("timeout", "The answer took longer than the service allows itself. Try again."),
@@ -94,7 +96,7 @@ impl Problem {
     }
 
     /// A fault of the service. Says nothing of its inside; the request id leads to the log.
-    pub fn internal() -> Self {
+    pub(super) fn internal() -> Self {
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,
             "internal_error",
@@ -103,19 +105,19 @@ impl Problem {
     }
 
     /// The service is stopping.
-    pub fn draining() -> Self {
+    pub(super) fn draining() -> Self {
         let detail = "The service is stopping and accepts no new work. Send the request again in a few seconds.";
         Self { retry_after_s: Some(5), ..Self::new(StatusCode::SERVICE_UNAVAILABLE, "draining", detail) }
     }
 
     /// No such job.
-    pub fn no_such_reconstruction(id: Uuid) -> Self {
+    pub(super) fn no_such_reconstruction(id: Uuid) -> Self {
         let detail = format!("There is no reconstruction {id}. It never existed or was deleted.");
         Self::new(StatusCode::NOT_FOUND, "not_found", detail)
     }
 
     /// A result is asked of a job that does not have it: because it is not finished, has failed, was cancelled, or has fewer gates.
-    pub fn no_result(job: &Job, name: &str) -> Self {
+    pub(super) fn no_result(job: &Job, name: &str) -> Self {
         match job.state {
             State::Queued | State::Running => {
                 let detail = format!("The reconstruction is {}; its results come when it has succeeded.", job.state.name());
@@ -123,7 +125,11 @@ impl Problem {
             }
             State::Failed => Self {
                 cause: job.error.as_ref().map(|error| Box::new(error.into())),
-                ..Self::new(StatusCode::CONFLICT, "reconstruction_failed", "The reconstruction failed and has no results; `cause` says why.")
+                ..Self::new(
+                    StatusCode::CONFLICT,
+                    "reconstruction_failed",
+                    "The reconstruction failed and has no results; `cause` says why.",
+                )
             },
             State::Cancelled => {
                 Self::new(StatusCode::CONFLICT, "reconstruction_cancelled", "The reconstruction was cancelled and has no results.")
@@ -179,7 +185,7 @@ impl From<ParameterError> for Problem {
 impl From<BodyError> for Problem {
     fn from(error: BodyError) -> Self {
         let status = match error {
-            BodyError::TooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+            BodyError::TooLarge { .. } | BodyError::ParametersTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             BodyError::TooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
             BodyError::Interrupted
             | BodyError::ContentLength
@@ -216,7 +222,11 @@ impl From<StoreError> for Problem {
         match error {
             StoreError::Database(_) | StoreError::Interrupted => Self {
                 retry_after_s: Some(5),
-                ..Self::new(StatusCode::SERVICE_UNAVAILABLE, "store_unavailable", "The database does not answer. Send the request again in 5 s.")
+                ..Self::new(
+                    StatusCode::SERVICE_UNAVAILABLE,
+                    "store_unavailable",
+                    "The database does not answer. Send the request again in 5 s.",
+                )
             },
             StoreError::DirectoryInUse { .. }
             | StoreError::Directory { .. }

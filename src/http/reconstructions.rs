@@ -34,7 +34,7 @@ const OWNER: &str = "anonymous";
 #[derive(Debug, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "documents the query; what is read are its raw pairs, since parameters may be given by dotted names")]
-pub struct SubmitQuery {
+pub(super) struct SubmitQuery {
     /// The named set of parameters to start from: `paper`.
     #[param(example = "paper")]
     preset: Option<String>,
@@ -53,7 +53,7 @@ pub struct SubmitQuery {
     "dtype": "uint16", "counts": "<base64 of little-endian numbers>", "parameters": {"mesh": {"level": 3}}
 }))]
 #[expect(dead_code, reason = "documents the body; `intake` reads it")]
-pub struct JsonStudy {
+pub(super) struct JsonStudy {
     /// The lattice.
     #[schema(inline)]
     grid: JsonGrid,
@@ -69,7 +69,7 @@ pub struct JsonStudy {
 /// The lattice of a study as JSON.
 #[derive(Debug, utoipa::ToSchema)]
 #[expect(dead_code, reason = "documents the body; `intake` reads it")]
-pub struct JsonGrid {
+pub(super) struct JsonGrid {
     /// Gates; 1 for an ungated study.
     gates: usize,
     /// Slices, rows, columns.
@@ -110,7 +110,7 @@ pub struct JsonGrid {
          content_type = "application/problem+json", headers(("Retry-After" = u64, description = "Seconds"))),
     ),
 )]
-pub async fn submit(
+pub(super) async fn submit(
     State(state): State<AppState>,
     Query(query): Query<Vec<(String, String)>>,
     headers: HeaderMap,
@@ -193,7 +193,7 @@ fn located(status: StatusCode, job: &Job) -> Response {
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
-pub struct Listing {
+pub(super) struct Listing {
     /// Only reconstructions in this state.
     #[param(inline)]
     state: Option<JobState>,
@@ -216,7 +216,11 @@ pub struct Listing {
         (status = 406, description = "`Accept` excludes JSON", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn list(State(state): State<AppState>, Query(query): Query<Listing>, headers: HeaderMap) -> Result<Json<JobListView>, Problem> {
+pub(super) async fn list(
+    State(state): State<AppState>,
+    Query(query): Query<Listing>,
+    headers: HeaderMap,
+) -> Result<Json<JobListView>, Problem> {
     negotiate::acceptable(&headers, "application/json")?;
     let limit = query.limit.unwrap_or(ListQuery::DEFAULT_LIMIT);
     if !(1..=ListQuery::LARGEST_LIMIT).contains(&limit) {
@@ -250,7 +254,7 @@ pub async fn list(State(state): State<AppState>, Query(query): Query<Listing>, h
         (status = 406, description = "`Accept` excludes JSON", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn get(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn get(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, "application/json")?;
     let wait = negotiate::wait(&headers);
     let job = settled(&state, id, &headers, wait.unwrap_or_default()).await?;
@@ -298,7 +302,7 @@ async fn settled(state: &AppState, id: Uuid, headers: &HeaderMap, wait: Duration
         (status = 404, description = "No such reconstruction", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn delete(State(state): State<AppState>, Id(id): Id) -> Result<Response, Problem> {
+pub(super) async fn delete(State(state): State<AppState>, Id(id): Id) -> Result<Response, Problem> {
     match state.store.delete(id).await? {
         Deletion::Cancelling(job) => Ok(views::job(StatusCode::ACCEPTED, &job)),
         Deletion::Cancelled(job) => Ok(views::job(StatusCode::OK, &job)),

@@ -35,7 +35,7 @@ const GLB: &str = "model/gltf-binary";
          body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn report(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn report(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     result(&state, id, &headers, "application/json", "report").await
 }
 
@@ -53,7 +53,7 @@ pub async fn report(State(state): State<AppState>, Id(id): Id, headers: HeaderMa
         (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn surfaces(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn surfaces(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     result(&state, id, &headers, GLB, "surfaces.glb").await
 }
 
@@ -72,7 +72,11 @@ pub async fn surfaces(State(state): State<AppState>, Id(id): Id, headers: Header
         (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn endocardial(State(state): State<AppState>, IdAndGate(id, gate): IdAndGate, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn endocardial(
+    State(state): State<AppState>,
+    IdAndGate(id, gate): IdAndGate,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     result(&state, id, &headers, GLB, &format!("gates/{gate}/endocardial.glb")).await
 }
 
@@ -91,7 +95,11 @@ pub async fn endocardial(State(state): State<AppState>, IdAndGate(id, gate): IdA
         (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub async fn epicardial(State(state): State<AppState>, IdAndGate(id, gate): IdAndGate, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn epicardial(
+    State(state): State<AppState>,
+    IdAndGate(id, gate): IdAndGate,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     result(&state, id, &headers, GLB, &format!("gates/{gate}/epicardial.glb")).await
 }
 

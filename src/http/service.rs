@@ -125,7 +125,7 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
 }
 
 /// The workers a service with these settings has.
-pub fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
+fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
     WorkerSettings { workers: settings.workers.get(), threads_per_worker: settings.threads().get(), ..WorkerSettings::default() }
 }
 

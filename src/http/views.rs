@@ -188,13 +188,13 @@ impl From<&Page> for JobListView {
 }
 
 /// The path of a job.
-pub fn path(job: &Job) -> String {
+pub(super) fn path(job: &Job) -> String {
     format!("/v1/reconstructions/{}", job.id)
 }
 
 /// The entity tag of a job: its version and its place in the queue, which moves without the job changing. Weak, since the estimate of the
 /// time left is not in it.
-pub fn etag(job: &Job) -> String {
+pub(super) fn etag(job: &Job) -> String {
     match job.queue_position {
         Some(position) => format!("W/\"{}-{position}\"", job.version),
         None => format!("W/\"{}\"", job.version),
@@ -202,12 +202,12 @@ pub fn etag(job: &Job) -> String {
 }
 
 /// A job as a response, with its entity tag and, while it is not finished, when to look again.
-pub fn job(status: StatusCode, job: &Job) -> Response {
+pub(super) fn job(status: StatusCode, job: &Job) -> Response {
     with_job_headers((status, Json(JobView::from(job))).into_response(), job)
 }
 
 /// That the client's copy of a job is still right.
-pub fn job_not_modified(job: &Job) -> Response {
+pub(super) fn job_not_modified(job: &Job) -> Response {
     with_job_headers(StatusCode::NOT_MODIFIED.into_response(), job)
 }
 
