@@ -187,7 +187,7 @@ impl ServeSettings {
     }
 }
 
-/// Whether a text is scheme://host[:port] and nothing else.
+/// Whether a text is `scheme://host[:port]` and nothing else.
 fn is_origin(text: &str) -> bool {
     let host = text.strip_prefix("https://").or(text.strip_prefix("http://"));
     host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ', '@']))

@@ -84,3 +84,28 @@ pub enum StoreError {
     #[error("The operation was interrupted by the end of the process.")]
     Interrupted,
 }
+
+impl StoreError {
+    /// Whether the same operation may succeed later without anyone's doing: the database restarts, is full or is out of connections.
+    pub fn is_passing(&self) -> bool {
+        let Self::Database(error) = self else { return false };
+        match error {
+            sqlx::Error::Io(_)
+            | sqlx::Error::Tls(_)
+            | sqlx::Error::Protocol(_)
+            | sqlx::Error::PoolTimedOut
+            | sqlx::Error::WorkerCrashed => true,
+            sqlx::Error::Database(error) => error.code().is_some_and(|code| is_passing_code(&code)),
+            _ => false,
+        }
+    }
+}
+
+/// PostgreSQL: connection, rollback, resources, object state, operator intervention (Appendix A of its manual; always five characters).
+/// SQLite: busy, locked, disk error, disk full (<https://www.sqlite.org/rescode.html>; a number whose low byte is the primary code).
+fn is_passing_code(code: &str) -> bool {
+    if code.len() == 5 {
+        return ["08", "40", "53", "55", "57"].iter().any(|class| code.starts_with(class));
+    }
+    code.parse::<u32>().is_ok_and(|code| matches!(code & 0xff, 5 | 6 | 10 | 13))
+}

@@ -32,7 +32,9 @@ pub(super) struct Queue {
 
 #[derive(Debug, Default)]
 struct QueueState {
-    queued: Load,
+    /// Signed: a job may be claimed between its commit and the line that counts it.
+    queued_jobs: i64,
+    queued_bytes: i64,
     reserved: Load,
     workers: usize,
     durations_s: VecDeque<f64>,
@@ -41,7 +43,9 @@ struct QueueState {
 impl Queue {
     pub(super) fn new(limit: Load, queued: Load, durations_s: impl IntoIterator<Item = f64>) -> Self {
         let durations_s = durations_s.into_iter().take(MEASURED_JOBS).collect();
-        Self { limit, state: Mutex::new(QueueState { queued, durations_s, workers: 1, ..QueueState::default() }) }
+        let mut state = QueueState { durations_s, workers: 1, ..QueueState::default() };
+        state.enter(queued);
+        Self { limit, state: Mutex::new(state) }
     }
 
     fn state(&self) -> MutexGuard<'_, QueueState> {
@@ -76,24 +80,24 @@ impl Queue {
         self.state().reserved
     }
 
-    /// A job was put back into the queue.
-    pub(super) fn entered(&self, bytes: u64) {
-        self.state().enter(bytes);
+    /// Jobs were put back into the queue.
+    pub(super) fn entered(&self, load: Load) {
+        self.state().enter(load);
     }
 
     /// A job left the queue.
     pub(super) fn left(&self, bytes: u64) {
         let mut state = self.state();
-        state.queued.jobs = state.queued.jobs.saturating_sub(1);
-        state.queued.bytes = state.queued.bytes.saturating_sub(bytes);
+        state.queued_jobs -= 1;
+        state.queued_bytes -= bytes as i64;
         state.publish();
     }
 
     /// The rows were counted: other processes change them too.
     pub(super) fn counted(&self, queued: Load) {
         let mut state = self.state();
-        state.queued = queued;
-        state.publish();
+        (state.queued_jobs, state.queued_bytes) = (0, 0);
+        state.enter(queued);
     }
 
     /// So many workers of this process take from the queue.
@@ -125,15 +129,20 @@ impl Queue {
 }
 
 impl QueueState {
-    fn enter(&mut self, bytes: u64) {
-        self.queued.jobs += 1;
-        self.queued.bytes += bytes;
+    fn queued(&self) -> Load {
+        Load { jobs: self.queued_jobs.max(0) as u64, bytes: self.queued_bytes.max(0) as u64 }
+    }
+
+    fn enter(&mut self, load: Load) {
+        self.queued_jobs += load.jobs as i64;
+        self.queued_bytes += load.bytes as i64;
         self.publish();
     }
 
     fn fits(&self, limit: Load, load: Load) -> bool {
-        let jobs = self.queued.jobs.saturating_add(self.reserved.jobs).saturating_add(load.jobs);
-        let bytes = self.queued.bytes.saturating_add(self.reserved.bytes).saturating_add(load.bytes);
+        let queued = self.queued();
+        let jobs = queued.jobs.saturating_add(self.reserved.jobs).saturating_add(load.jobs);
+        let bytes = queued.bytes.saturating_add(self.reserved.bytes).saturating_add(load.bytes);
         jobs <= limit.jobs && bytes <= limit.bytes
     }
 
@@ -144,13 +153,13 @@ impl QueueState {
 
     fn retry_after_s(&self) -> u64 {
         let mean_s = self.mean_duration_s().unwrap_or(ASSUMED_DURATION_S);
-        let drained_s = mean_s / self.workers.max(1) as f64 * self.queued.jobs.max(1) as f64;
+        let drained_s = mean_s / self.workers.max(1) as f64 * self.queued_jobs.max(1) as f64;
         drained_s.clamp(RETRY_AFTER_S.0, RETRY_AFTER_S.1).ceil() as u64
     }
 
     fn publish(&self) {
-        metrics::gauge!("ventricle_queue_jobs").set(self.queued.jobs as f64);
-        metrics::gauge!("ventricle_queue_bytes").set(self.queued.bytes as f64);
+        metrics::gauge!("ventricle_queue_jobs").set(self.queued().jobs as f64);
+        metrics::gauge!("ventricle_queue_bytes").set(self.queued().bytes as f64);
     }
 }
 
@@ -196,7 +205,7 @@ impl Drop for Reservation {
         state.reserved.jobs = state.reserved.jobs.saturating_sub(1);
         state.reserved.bytes = state.reserved.bytes.saturating_sub(self.bytes);
         if let Some(bytes) = self.queued {
-            state.enter(bytes);
+            state.enter(Load { jobs: 1, bytes });
         }
     }
 }
@@ -219,7 +228,7 @@ mod tests {
         drop(first);
         drop(second);
         assert_eq!(queue.reserved(), Load::default());
-        queue.entered(100);
+        queue.entered(Load { jobs: 1, bytes: 100 });
         assert!(queue.reserve(1).is_err(), "queued bytes count");
         queue.left(100);
         assert!(queue.reserve(100).is_ok());
@@ -241,7 +250,7 @@ mod tests {
     fn retry_after_follows_the_measured_rate_within_its_limits() {
         let queue = queue(10, u64::MAX);
         queue.served_by(2);
-        (0..10).for_each(|_| queue.entered(1));
+        queue.entered(Load { jobs: 10, bytes: 10 });
         [2.0, 4.0].into_iter().for_each(|duration_s| queue.measured(duration_s));
         assert_eq!(queue.full().retry_after_s, 15, "mean 3 s x 10 jobs / 2 workers");
         assert_eq!(queue.eta_queued_s(3), Some(6.0));
