@@ -77,13 +77,24 @@ pub fn evolve(border: &Border, flow: &Flow, grid: &Grid, parameters: &Parameters
             smooth::taubin(&mut particles.positions, &joined, |vertex| !frozen[vertex]);
         }
     }
+    let mut mesh = Mesh { positions: particles.positions, triangles: seed.triangles };
     if deform.smoothing {
+        smooth_whole(&mut mesh, &joined);
+    }
+    Ok(Evolved { mesh, steps, frozen: frozen_count as f64 / count as f64 })
+}
+
+/// The final smoothing: again while a triangle is inverted, up to four times.
+fn smooth_whole(mesh: &mut Mesh, joined: &[Vec<u32>]) {
+    const MOST_ROUNDS: usize = 4;
+    for round in 0..MOST_ROUNDS {
+        if round > 0 && mesh.inverted_triangles(mesh.centroid()) == 0 {
+            break;
+        }
         for _ in 0..smooth::FINAL_PASSES {
-            smooth::taubin(&mut particles.positions, &joined, |_| true);
+            smooth::taubin(&mut mesh.positions, joined, |_| true);
         }
     }
-    let mesh = Mesh { positions: particles.positions, triangles: seed.triangles };
-    Ok(Evolved { mesh, steps, frozen: frozen_count as f64 / count as f64 })
 }
 
 /// The sphere "scaled and translated" to the bounding box of the data (§7.3).

@@ -13,6 +13,7 @@ pub mod models;
 pub mod monitor;
 pub mod parameters;
 pub mod region;
+mod rings;
 pub mod smooth;
 
 use crate::{
