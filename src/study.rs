@@ -76,6 +76,8 @@ pub enum Format {
     Nifti,
     /// The JSON body of the HTTP contract.
     Json,
+    /// One `NumPy` array.
+    Npy,
     /// Made in memory by [`crate::phantom`].
     Phantom,
 }

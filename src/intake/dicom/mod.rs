@@ -1,0 +1,80 @@
+//! DICOM Nuclear Medicine images → [`Study`].
+//!
+//! The checks run in the order that gives the best answer: what the object is ([`identity`]), how its pixels are encoded ([`pixels`]),
+//! which frame is which slice of which gate ([`frames`]), where they lie ([`geometry`]), and how several files make one study ([`series`]).
+
+mod attributes;
+mod frames;
+mod geometry;
+mod identity;
+mod object;
+mod pixels;
+mod series;
+mod timing;
+
+use super::{IntakeError, Limits, Part, counts};
+use crate::study::{Acquisition, Format, Study, Warning};
+use crate::volume::Grid;
+use frames::Arrangement;
+use ndarray::{Array3, Axis};
+use object::Object;
+
+/// Reads one multi-frame object, or the files of one series.
+pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeError> {
+    let mut warnings = Vec::new();
+    let mut objects: Vec<Object<'_>> = Vec::with_capacity(parts.len());
+    // What all files together may take; each file leaves less for the next.
+    let mut remaining = limits.clone();
+    for (index, part) in parts.iter().enumerate() {
+        // Of a series, the first file speaks for all.
+        let mut own = Vec::new();
+        let object = Object::read(part.bytes, &remaining, &mut own)?;
+        remaining.inflated_bytes -= object.pixels.inflated_bytes();
+        remaining.described_bytes -= object.attributes.bytes;
+        objects.push(object);
+        if index == 0 {
+            warnings = own;
+        }
+    }
+    let arrangement = match objects.as_slice() {
+        [object] => Arrangement::of_object(object, &mut warnings)?,
+        objects => series::arrange(objects, &mut warnings)?,
+    };
+    build(&objects, &arrangement, limits, warnings)
+}
+
+/// Decodes the frames into their places.
+fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut warnings: Vec<Warning>) -> Result<Study, IntakeError> {
+    let first = &objects[0];
+    let (gates, slices) = (arrangement.gates.len(), arrangement.gates[0].len());
+    let shape = [slices, first.rows, first.columns];
+    counts::check_extent(gates, shape, limits)?;
+    let geometry = match &arrangement.stack {
+        Some(stack) => geometry::of_positions(first, stack, &mut warnings)?,
+        None => geometry::of_object(first, slices, &mut warnings)?,
+    };
+    counts::check_spacing(geometry.spacing_mm, limits)?;
+    let grid = Grid { shape, spacing_mm: geometry.spacing_mm };
+
+    let mut volumes = Vec::with_capacity(gates);
+    for gate in &arrangement.gates {
+        let mut volume = Array3::zeros(shape);
+        for (source, mut slice) in gate.iter().zip(volume.axis_iter_mut(Axis(0))) {
+            if let Some(values) = slice.as_slice_mut() {
+                objects[source.object].pixels.decode(source.frame, values)?;
+            }
+        }
+        volumes.push(volume);
+    }
+    let timing = timing::read(first, arrangement.rr_interval, gates, &mut warnings);
+    let gates = counts::gates(grid, volumes, &timing.durations_ms, &mut warnings)?;
+    let acquisition = Acquisition {
+        format: Format::Dicom,
+        study_instance_uid: first.study_uid.clone(),
+        series_instance_uid: first.series_uid.clone(),
+        sop_instance_uids: objects.iter().filter_map(|object| object.instance_uid.clone()).collect(),
+        rr_interval_ms: timing.rr_interval_ms,
+        heart_rate_bpm: timing.heart_rate_bpm,
+    };
+    Ok(Study { grid, gates, orientation: geometry.orientation, acquisition, warnings })
+}
