@@ -10,4 +10,6 @@ mod openapi;
 mod phantom;
 mod pipeline;
 mod restart;
+mod served;
+mod shared;
 mod surfaces;
