@@ -1,1 +1,43 @@
-//! (to be written)
+//! What is accepted, queued, worked on and kept.
+//!
+//! A job is accepted when its row and its input are committed to disk, not before; it is finished when its results and its final
+//! state are committed together. Between the two it may be claimed by any worker, which holds it by a lease it must keep renewing. The
+//! number of the attempt is counted at the claim and named in every later statement of the worker (a fencing token): a worker that lost
+//! its lease can no longer change anything.
+//!
+//! | file | what it is |
+//! |---|---|
+//! | `job.rs` | what a caller sees of a job |
+//! | [`store`] | the rows: submit, read, list, delete |
+//! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
+//! | `queue.rs` | limits, reservations and the measured rate |
+//! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
+//! | `progress.rs` | how a running reconstruction is watched and stopped |
+//! | `work.rs` | what a job computes: reconstruction, report, surfaces |
+//! | `input.rs` | the stored form of a study |
+//! | `database.rs`, `schema.rs` | one SQL text on two engines |
+//! | `watch.rs` | who waits for a change of which job |
+
+mod compute;
+mod database;
+mod error;
+pub mod input;
+mod job;
+mod lease;
+mod progress;
+mod queue;
+mod reaper;
+mod schema;
+pub mod store;
+mod watch;
+pub mod work;
+mod worker;
+
+pub use error::{QueueFull, StoreError, SubmitError};
+pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
+pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
+pub use progress::{Progress, Snapshot};
+pub use queue::Reservation;
+pub use store::{Backend, Store, StoreSettings};
+pub use work::{Output, Work, WorkError};
+pub use worker::{Drained, WorkerSettings, Workers, start_workers};

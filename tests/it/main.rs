@@ -9,6 +9,7 @@ mod jobs;
 mod openapi;
 mod phantom;
 mod pipeline;
+mod report;
 mod restart;
 mod served;
 mod shared;

@@ -1,0 +1,342 @@
+//! One SQL text on two engines.
+//!
+//! Statements are written once, with `$1`-style placeholders, and may hold four named fragments where the engines differ:
+//! `{now}` (the database's clock in ms since 1970), `{skip_locked}`, `{bytes}` (the type of binary columns) and `{lock_queue}`. An enum
+//! over two pools rather than `sqlx::Any`: `Any` cannot begin a transaction with `BEGIN IMMEDIATE`, knows no `LISTEN`, and decodes by
+//! the value found instead of the type asked for. Generic code over `sqlx::Database` needs some twenty bounds on each function.
+
+use super::error::StoreError;
+use sqlx::{
+    AssertSqlSafe, Decode, Pool, Postgres, Row as _, Sqlite, Type,
+    postgres::{PgPoolOptions, PgRow},
+    sqlite::{
+        SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteLockingMode, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
+    },
+};
+use std::{path::Path, time::Duration};
+
+/// The database file inside the data directory.
+const FILE_NAME: &str = "ventricle.sqlite";
+/// The least SQLite the store is proven on: it repairs a rare corruption when a write-ahead log is reset.
+const LEAST_SQLITE: (&str, [u32; 3]) = ("3.51.3", [3, 51, 3]);
+/// The write-ahead log is cut back to this size in bytes after a checkpoint, so that one burst of results does not keep its disk.
+const WAL_LIMIT_BYTES: &str = "67108864";
+/// How long a statement may wait for a free connection.
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
+/// Pause between attempts to get the lock of the data directory.
+const LOCK_PAUSE: Duration = Duration::from_millis(100);
+/// Key of the PostgreSQL advisory locks: "vent" and a number of what is locked.
+const ADVISORY_KEY: i64 = 0x7665_6e74_0000_0000;
+
+/// The database behind a store.
+#[derive(Debug, Clone)]
+pub(super) enum Database {
+    Sqlite(Pool<Sqlite>),
+    Postgres(Pool<Postgres>),
+}
+
+/// A transaction; dropped without [`Transaction::commit`] it is rolled back.
+pub(super) enum Transaction {
+    Sqlite(sqlx::Transaction<'static, Sqlite>),
+    Postgres(sqlx::Transaction<'static, Postgres>),
+}
+
+/// A row of either engine.
+pub(super) enum Row {
+    Sqlite(SqliteRow),
+    Postgres(PgRow),
+}
+
+/// A value bound to a placeholder.
+#[derive(Debug, Clone)]
+pub(super) enum Value {
+    Integer(i64),
+    OptionalInteger(Option<i64>),
+    Real(f64),
+    OptionalReal(Option<f64>),
+    Text(String),
+    OptionalText(Option<String>),
+    Bytes(Vec<u8>),
+}
+
+/// A type both engines can read from a column.
+pub(super) trait Column: Type<Sqlite> + for<'r> Decode<'r, Sqlite> + Type<Postgres> + for<'r> Decode<'r, Postgres> {}
+
+impl<T> Column for T where T: Type<Sqlite> + for<'r> Decode<'r, Sqlite> + Type<Postgres> + for<'r> Decode<'r, Postgres> {}
+
+/// A query with its values bound, for whichever engine the context asks for.
+macro_rules! bound {
+    ($sql:expr, $values:expr) => {{
+        let mut query = sqlx::query(AssertSqlSafe($sql));
+        for value in $values {
+            query = match value {
+                Value::Integer(value) => query.bind(value),
+                Value::OptionalInteger(value) => query.bind(value),
+                Value::Real(value) => query.bind(value),
+                Value::OptionalReal(value) => query.bind(value),
+                Value::Text(value) => query.bind(value),
+                Value::OptionalText(value) => query.bind(value),
+                Value::Bytes(value) => query.bind(value),
+            };
+        }
+        query
+    }};
+}
+
+/// The values of a statement in the order of its placeholders.
+macro_rules! values {
+    ($($value:expr),* $(,)?) => { vec![$($crate::jobs::database::Value::from($value)),*] };
+}
+pub(super) use values;
+
+impl Database {
+    /// Opens the database of a data directory, for this process alone. Fails with [`StoreError::DirectoryInUse`] when another
+    /// process has it and keeps it longer than `wait`.
+    pub(super) async fn sqlite(directory: &Path, wait: Duration) -> Result<Self, StoreError> {
+        std::fs::create_dir_all(directory).map_err(|source| StoreError::Directory { directory: directory.to_path_buf(), source })?;
+        let options = SqliteConnectOptions::new()
+            .filename(directory.join(FILE_NAME))
+            .create_if_missing(true)
+            // Before the journal mode: the log's index is then in memory and the file is locked until the connection ends.
+            .locking_mode(SqliteLockingMode::Exclusive)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .auto_vacuum(SqliteAutoVacuum::Incremental)
+            .foreign_keys(true)
+            .pragma("journal_size_limit", WAL_LIMIT_BYTES)
+            .busy_timeout(LOCK_PAUSE);
+        let deadline = tokio::time::Instant::now() + wait;
+        let pool = loop {
+            // One connection that is never closed: closing it would give up the lock.
+            let pool = SqlitePoolOptions::new()
+                .max_connections(1)
+                .idle_timeout(None)
+                .max_lifetime(None)
+                .acquire_timeout(ACQUIRE_TIMEOUT)
+                .connect_lazy_with(options.clone());
+            match take_lock(&pool).await {
+                Ok(()) => break pool,
+                Err(error) => {
+                    pool.close().await;
+                    if !is_locked(&error) {
+                        return Err(error.into());
+                    }
+                    if tokio::time::Instant::now() >= deadline {
+                        return Err(StoreError::DirectoryInUse { directory: directory.to_path_buf() });
+                    }
+                    tokio::time::sleep(LOCK_PAUSE).await;
+                }
+            }
+        };
+        let database = Self::Sqlite(pool);
+        database.check_sqlite().await?;
+        Ok(database)
+    }
+
+    /// Connects to a PostgreSQL database.
+    pub(super) async fn postgres(url: &str, connections: u32) -> Result<Self, StoreError> {
+        let pool = PgPoolOptions::new().max_connections(connections).acquire_timeout(ACQUIRE_TIMEOUT).connect(url).await?;
+        Ok(Self::Postgres(pool))
+    }
+
+    /// That the linked SQLite is recent enough and took the settings durability rests on.
+    async fn check_sqlite(&self) -> Result<(), StoreError> {
+        let answer = |row: Option<Row>| row.map_or(Ok(String::new()), |row| row.get(0));
+        let found = answer(self.fetch_one("SELECT sqlite_version()", vec![]).await?)?;
+        let (required, least) = LEAST_SQLITE;
+        if version(&found).is_none_or(|version| version < least) {
+            return Err(StoreError::SqliteTooOld { found, required });
+        }
+        for (setting, sql, wanted) in [
+            ("journal_mode = wal", "SELECT journal_mode FROM pragma_journal_mode()", "wal"),
+            ("synchronous = full", "SELECT CAST(synchronous AS TEXT) FROM pragma_synchronous()", "2"),
+            ("locking_mode = exclusive", "SELECT locking_mode FROM pragma_locking_mode()", "exclusive"),
+            ("foreign_keys = on", "SELECT CAST(foreign_keys AS TEXT) FROM pragma_foreign_keys()", "1"),
+        ] {
+            let found = answer(self.fetch_one(sql, vec![]).await?)?;
+            if found != wanted {
+                return Err(StoreError::Setting { setting, found });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether several processes may share the database.
+    pub(super) fn is_shared(&self) -> bool {
+        matches!(self, Self::Postgres(_))
+    }
+
+    /// The statement in this engine's words.
+    pub(super) fn render(&self, sql: &str) -> String {
+        let lock_queue = format!("SELECT pg_advisory_xact_lock({})", ADVISORY_KEY + 1);
+        let fragments: [(&str, &str); 4] = match self {
+            Self::Sqlite(_) => [
+                ("{now}", "CAST(ROUND(unixepoch('subsec') * 1000) AS BIGINT)"),
+                ("{skip_locked}", ""),
+                ("{bytes}", "BLOB"),
+                // A transaction of SQLite is alone from its BEGIN IMMEDIATE.
+                ("{lock_queue}", "SELECT 1"),
+            ],
+            Self::Postgres(_) => [
+                ("{now}", "CAST(ROUND(EXTRACT(EPOCH FROM clock_timestamp()) * 1000) AS BIGINT)"),
+                ("{skip_locked}", "FOR UPDATE SKIP LOCKED"),
+                ("{bytes}", "BYTEA"),
+                ("{lock_queue}", &lock_queue),
+            ],
+        };
+        fragments.into_iter().fold(sql.to_owned(), |sql, (name, text)| sql.replace(name, text))
+    }
+
+    /// Begins a transaction that may write.
+    pub(super) async fn begin(&self) -> Result<Transaction, StoreError> {
+        Ok(match self {
+            Self::Sqlite(pool) => Transaction::Sqlite(pool.begin_with("BEGIN IMMEDIATE").await?),
+            Self::Postgres(pool) => Transaction::Postgres(pool.begin().await?),
+        })
+    }
+
+    /// Begins a transaction that no other process changes the schema during.
+    pub(super) async fn begin_schema(&self) -> Result<Transaction, StoreError> {
+        let mut transaction = self.begin().await?;
+        if self.is_shared() {
+            transaction.execute(&format!("SELECT pg_advisory_xact_lock({ADVISORY_KEY})"), vec![]).await?;
+        }
+        Ok(transaction)
+    }
+
+    /// Runs one statement by itself; returns the rows it gives.
+    pub(super) async fn fetch(&self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
+        let sql = self.render(sql);
+        Ok(match self {
+            Self::Sqlite(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect(),
+            Self::Postgres(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Postgres).collect(),
+        })
+    }
+
+    /// Runs one statement by itself; returns the first row it gives.
+    pub(super) async fn fetch_one(&self, sql: &str, values: Vec<Value>) -> Result<Option<Row>, StoreError> {
+        Ok(self.fetch(sql, values).await?.into_iter().next())
+    }
+
+    /// Ends all connections.
+    pub(super) async fn close(&self) {
+        match self {
+            Self::Sqlite(pool) => pool.close().await,
+            Self::Postgres(pool) => pool.close().await,
+        }
+    }
+}
+
+impl Transaction {
+    /// Runs a statement in this transaction; returns how many rows it changed. The text must hold no fragments.
+    pub(super) async fn execute(&mut self, sql: &str, values: Vec<Value>) -> Result<u64, StoreError> {
+        let sql = sql.to_owned();
+        Ok(match self {
+            Self::Sqlite(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
+            Self::Postgres(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
+        })
+    }
+
+    /// Runs a statement in this transaction; returns the rows it gives. The text must hold no fragments.
+    pub(super) async fn fetch(&mut self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
+        let sql = sql.to_owned();
+        Ok(match self {
+            Self::Sqlite(transaction) => bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Sqlite).collect(),
+            Self::Postgres(transaction) => {
+                bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Postgres).collect()
+            }
+        })
+    }
+
+    /// Runs a statement in this transaction; returns the first row it gives.
+    pub(super) async fn fetch_one(&mut self, sql: &str, values: Vec<Value>) -> Result<Option<Row>, StoreError> {
+        Ok(self.fetch(sql, values).await?.into_iter().next())
+    }
+
+    /// Runs several statements without values.
+    pub(super) async fn execute_script(&mut self, sql: &str) -> Result<(), StoreError> {
+        let sql = AssertSqlSafe(sql.to_owned());
+        match self {
+            Self::Sqlite(transaction) => sqlx::raw_sql(sql).execute(&mut **transaction).await.map(drop)?,
+            Self::Postgres(transaction) => sqlx::raw_sql(sql).execute(&mut **transaction).await.map(drop)?,
+        }
+        Ok(())
+    }
+
+    /// Makes what the transaction did durable.
+    pub(super) async fn commit(self) -> Result<(), StoreError> {
+        match self {
+            Self::Sqlite(transaction) => transaction.commit().await?,
+            Self::Postgres(transaction) => transaction.commit().await?,
+        }
+        Ok(())
+    }
+}
+
+impl Row {
+    /// The value of a column, counted from 0.
+    pub(super) fn get<T: Column>(&self, column: usize) -> Result<T, StoreError> {
+        Ok(match self {
+            Self::Sqlite(row) => row.try_get(column)?,
+            Self::Postgres(row) => row.try_get(column)?,
+        })
+    }
+
+    /// The value of a column by name.
+    pub(super) fn named<T: Column>(&self, column: &str) -> Result<T, StoreError> {
+        Ok(match self {
+            Self::Sqlite(row) => row.try_get(column)?,
+            Self::Postgres(row) => row.try_get(column)?,
+        })
+    }
+}
+
+macro_rules! value_from {
+    ($($type:ty => $variant:ident),* $(,)?) => {
+        $(impl From<$type> for Value {
+            fn from(value: $type) -> Self {
+                Self::$variant(value)
+            }
+        })*
+    };
+}
+
+value_from! {
+    i64 => Integer,
+    Option<i64> => OptionalInteger,
+    f64 => Real,
+    Option<f64> => OptionalReal,
+    String => Text,
+    Option<String> => OptionalText,
+    Vec<u8> => Bytes,
+}
+
+impl From<&str> for Value {
+    fn from(value: &str) -> Self {
+        Self::Text(value.to_owned())
+    }
+}
+
+impl From<uuid::Uuid> for Value {
+    fn from(value: uuid::Uuid) -> Self {
+        Self::Text(value.to_string())
+    }
+}
+
+/// Makes the connection and writes, which takes the exclusive lock that is then kept.
+async fn take_lock(pool: &Pool<Sqlite>) -> Result<(), sqlx::Error> {
+    let mut connection = pool.acquire().await?;
+    sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT").execute(&mut *connection).await.map(drop)
+}
+
+/// Whether the error says that someone else has the database.
+fn is_locked(error: &sqlx::Error) -> bool {
+    // SQLITE_BUSY and SQLITE_LOCKED with their extended codes (https://www.sqlite.org/rescode.html): the primary code is the low byte.
+    let code = error.as_database_error().and_then(|error| error.code()).and_then(|code| code.parse::<u32>().ok());
+    code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
+}
+
+fn version(text: &str) -> Option<[u32; 3]> {
+    let mut parts = text.split('.').map(|part| part.parse().ok());
+    Some([parts.next()??, parts.next()??, parts.next()??])
+}

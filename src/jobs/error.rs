@@ -1,0 +1,111 @@
+//! What can go wrong with the store, as sentences for the operator; clients are told less (`http/problem.rs` decides).
+
+use std::path::PathBuf;
+
+/// The queue is full; try again later.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("The queue is full. Try again in {retry_after_s} s.")]
+pub struct QueueFull {
+    /// When there is probably room again, in s, from the measured rate (1 to 600).
+    pub retry_after_s: u64,
+}
+
+/// Why a submission was not accepted.
+#[derive(Debug, thiserror::Error)]
+pub enum SubmitError {
+    /// The owner used this idempotency key before, for another request.
+    #[error("This idempotency key was already used for a different request. Use a new key for a new request.")]
+    KeyReused,
+    /// No room for the job.
+    #[error(transparent)]
+    QueueFull(#[from] QueueFull),
+    /// The store failed; nothing was accepted.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// A failure of the store.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// Another process (or another store of this one) has the directory.
+    #[error(
+        "The data directory {} is in use by another process. One directory serves one process: stop the other one, give this one its own \
+         --data-dir, or let several share the work with --database-url.",
+        directory.display()
+    )]
+    DirectoryInUse {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// The data directory cannot be made or used.
+    #[error("The data directory {} cannot be used: {source}.", directory.display())]
+    Directory {
+        /// The directory.
+        directory: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The linked SQLite is older than what the store was proven on.
+    #[error("SQLite {found} is linked; {required} or later is required.")]
+    SqliteTooOld {
+        /// The version that answers.
+        found: String,
+        /// The least version.
+        required: &'static str,
+    },
+    /// SQLite refused one of the settings durability rests on.
+    #[error("SQLite did not accept the setting {setting}: it answers {found}.")]
+    Setting {
+        /// The setting and the wanted value.
+        setting: &'static str,
+        /// What is in force.
+        found: String,
+    },
+    /// The database was written by a later version of this program.
+    #[error(
+        "The database has schema version {found}; this program knows versions up to {known}. Use the program that wrote it or a later one."
+    )]
+    SchemaTooNew {
+        /// The version in the database.
+        found: i64,
+        /// The latest version this program knows.
+        known: i64,
+    },
+    /// What is stored is not what was stored.
+    #[error("Stored data is damaged: {what}.")]
+    Damaged {
+        /// Which data and how.
+        what: String,
+    },
+    /// The database failed or does not answer.
+    #[error("The database failed: {0}.")]
+    Database(#[from] sqlx::Error),
+    /// The runtime ended before the operation did.
+    #[error("The operation was interrupted by the end of the process.")]
+    Interrupted,
+}
+
+impl StoreError {
+    /// Whether the same operation may succeed later without anyone's doing: the database restarts, is full or is out of connections.
+    pub fn is_passing(&self) -> bool {
+        let Self::Database(error) = self else { return false };
+        match error {
+            sqlx::Error::Io(_)
+            | sqlx::Error::Tls(_)
+            | sqlx::Error::Protocol(_)
+            | sqlx::Error::PoolTimedOut
+            | sqlx::Error::WorkerCrashed => true,
+            sqlx::Error::Database(error) => error.code().is_some_and(|code| is_passing_code(&code)),
+            _ => false,
+        }
+    }
+}
+
+/// PostgreSQL: connection, rollback, resources, object state, operator intervention (Appendix A of its manual; always five characters).
+/// SQLite: busy, locked, disk error, disk full (<https://www.sqlite.org/rescode.html>; a number whose low byte is the primary code).
+fn is_passing_code(code: &str) -> bool {
+    if code.len() == 5 {
+        return ["08", "40", "53", "55", "57"].iter().any(|class| code.starts_with(class));
+    }
+    code.parse::<u32>().is_ok_and(|code| matches!(code & 0xff, 5 | 6 | 10 | 13))
+}

@@ -1,0 +1,240 @@
+//! The worker's side of the rows: claim, heartbeat, finish, give back, reap.
+//!
+//! Every statement names the attempt it belongs to. `attempts` only ever grows, so a worker whose lease was reaped finds no row to
+//! change, however late it comes. What is given back uncharged therefore raises `max_attempts` instead of lowering `attempts`.
+
+use super::{
+    database::values,
+    error::StoreError,
+    job::{JobError, State},
+    progress::Snapshot,
+    queue::Load,
+    store::{INPUT, Store, finished, insert_blob, parse_id, sha256},
+    work::Output,
+};
+use std::time::Duration;
+use uuid::Uuid;
+
+/// Pause before a job whose worker was lost is tried again, times the attempts so far.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
+
+/// A job held by a worker.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
+    /// The job.
+    pub id: Uuid,
+    /// The fencing token.
+    pub attempt: i64,
+    /// The parameters, as stored: JSON of [`crate::pipeline::parameters::Parameters`].
+    pub parameters: String,
+    /// From its acceptance to this claim.
+    pub waited: Duration,
+}
+
+/// The answer to a heartbeat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Heartbeat {
+    /// The job is still held.
+    Held {
+        /// Whether it should stop.
+        cancel: bool,
+    },
+    /// The job is no longer this attempt's; nothing it does counts.
+    Lost,
+}
+
+/// How the work on a job ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    /// With these results.
+    Succeeded(Vec<Output>),
+    /// The same input would fail again.
+    Failed(JobError),
+    /// It stopped because it was asked to.
+    Cancelled,
+}
+
+/// The answer to [`Store::finish`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finish {
+    /// The job is now in this state. A success that comes after the request to cancel is `cancelled`.
+    Done(State),
+    /// The job is no longer this attempt's; nothing was stored.
+    Lost,
+}
+
+/// A job taken from a lost worker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reaped {
+    /// The job.
+    pub id: Uuid,
+    /// `queued` again, `failed` after its last attempt, or `cancelled` if it had been asked to stop.
+    pub state: State,
+}
+
+impl Store {
+    /// Takes the job that waits longest among those of the highest priority, if any, and counts the attempt.
+    pub async fn claim(&self, worker: &str) -> Result<Option<Claim>, StoreError> {
+        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, lease_owner = $1, lease_until = {now} + $2,
+                started_at = {now}, progress = 0, stage = NULL, gates_done = 0, version = version + 1
+            WHERE state = 'queued' AND id = (
+                SELECT id FROM jobs WHERE state = 'queued' AND run_after <= {now} ORDER BY priority DESC, id LIMIT 1 {skip_locked}
+            )
+            RETURNING id, attempts, parameters, input_bytes, started_at - created_at";
+        let values = values![worker, milliseconds(self.inner.settings.lease)];
+        let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(None) };
+        self.inner.queue.left(row.get::<i64>(3)? as u64);
+        let id = parse_id(&row.get::<String>(0)?)?;
+        self.inner.watchers.announce(id);
+        let waited = Duration::from_millis(row.get::<i64>(4)?.max(0) as u64);
+        Ok(Some(Claim { id, attempt: row.get(1)?, parameters: row.get(2)?, waited }))
+    }
+
+    /// The stored study of a claimed job, encoded (see [`super::input`]).
+    pub async fn input(&self, claim: &Claim) -> Result<Vec<u8>, StoreError> {
+        match self.blob(claim.id, INPUT).await? {
+            Some(blob) => Ok(blob.data),
+            None => Err(StoreError::Damaged { what: format!("job {} has no input", claim.id) }),
+        }
+    }
+
+    /// Renews the lease and, if there is news, stores the progress; returns whether the job should stop.
+    pub async fn heartbeat(&self, claim: &Claim, news: Option<&Snapshot>) -> Result<Heartbeat, StoreError> {
+        let sql = "UPDATE jobs SET lease_until = {now} + $3, progress = COALESCE($4, progress), stage = COALESCE($5, stage),
+                gates_done = COALESCE($6, gates_done), version = version + $7
+            WHERE id = $1 AND attempts = $2 AND state = 'running'
+            RETURNING cancel_requested";
+        let values = values![
+            claim.id,
+            claim.attempt,
+            milliseconds(self.inner.settings.lease),
+            news.map(|news| news.fraction),
+            news.and_then(|news| news.stage).map(|stage| stage.name().to_owned()),
+            news.map(|news| news.gates_done as i64),
+            i64::from(news.is_some()),
+        ];
+        let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(Heartbeat::Lost) };
+        if news.is_some() {
+            self.inner.watchers.announce(claim.id);
+        }
+        Ok(Heartbeat::Held { cancel: row.get(0)? })
+    }
+
+    /// Stores the final state and, with it, the results.
+    pub async fn finish(&self, claim: &Claim, outcome: Outcome, last: &Snapshot) -> Result<Finish, StoreError> {
+        let (wanted, outputs, error) = match outcome {
+            Outcome::Succeeded(outputs) => (State::Succeeded, outputs, None),
+            Outcome::Failed(error) => (State::Failed, Vec::new(), Some(error)),
+            Outcome::Cancelled => (State::Cancelled, Vec::new(), None),
+        };
+        let error = error.map(|error| serde_json::to_string(&error)).transpose().unwrap_or_default();
+        let outputs =
+            tokio::task::spawn_blocking(move || outputs.into_iter().map(|output| (sha256(&output.data), output)).collect::<Vec<_>>())
+                .await
+                .map_err(|_| StoreError::Interrupted)?;
+        let sql = self.inner.database.render(
+            "UPDATE jobs SET state = CASE WHEN cancel_requested THEN 'cancelled' ELSE $3 END,
+                error = CASE WHEN cancel_requested THEN NULL ELSE $4 END,
+                progress = CASE WHEN $3 = 'succeeded' AND NOT cancel_requested THEN 1 ELSE $5 END, gates_done = $6,
+                stage = NULL, lease_owner = NULL, lease_until = NULL, finished_at = {now}, version = version + 1
+            WHERE id = $1 AND attempts = $2 AND state = 'running'
+            RETURNING state, finished_at - started_at",
+        );
+        let mut transaction = self.inner.database.begin().await?;
+        let values = values![claim.id, claim.attempt, wanted.name(), error, last.fraction, last.gates_done as i64];
+        let Some(row) = transaction.fetch_one(&sql, values).await? else { return Ok(Finish::Lost) };
+        let state = State::from_name(&row.get::<String>(0)?).unwrap_or(wanted);
+        let duration_s = row.get::<i64>(1)?.max(0) as f64 / 1e3;
+        if state == State::Succeeded {
+            for (sha256, output) in outputs {
+                insert_blob(&mut transaction, claim.id, &output.name, output.media_type, sha256, output.data).await?;
+            }
+        }
+        self.drop_input(&mut transaction, claim.id).await?;
+        transaction.commit().await?;
+        self.inner.watchers.announce(claim.id);
+        finished(state);
+        if state == State::Succeeded {
+            self.inner.queue.measured(duration_s);
+        }
+        metrics::histogram!("ventricle_job_duration_seconds", "state" => state.name()).record(duration_s);
+        Ok(Finish::Done(state))
+    }
+
+    /// Puts a job back into the queue as if it had never been claimed, except that `attempt` stays counted for fencing. Returns whether
+    /// it was still held. A job that was asked to stop is `cancelled` instead.
+    pub async fn give_back(&self, claim: &Claim) -> Result<bool, StoreError> {
+        let filter = "id = $2 AND attempts = $3";
+        let reaped = self.take_back(filter, values![claim.id, claim.attempt], 1, Duration::ZERO).await?;
+        Ok(!reaped.is_empty())
+    }
+
+    /// Takes back the jobs whose lease is over.
+    pub async fn reap(&self) -> Result<Vec<Reaped>, StoreError> {
+        self.take_back("lease_until < {now}", vec![], 0, RETRY_PAUSE).await
+    }
+
+    /// Takes back all running jobs: no worker can hold any.
+    pub(super) async fn reap_all(&self) -> Result<Vec<Reaped>, StoreError> {
+        self.take_back("TRUE", vec![], 0, Duration::ZERO).await
+    }
+
+    /// Takes running jobs back from their workers, with `credit` more attempts to come.
+    async fn take_back(
+        &self,
+        filter: &str,
+        filter_values: Vec<super::database::Value>,
+        credit: i64,
+        pause: Duration,
+    ) -> Result<Vec<Reaped>, StoreError> {
+        let database = &self.inner.database;
+        let lost = JobError {
+            code: "worker_lost".into(),
+            message: "Every worker that took the job was lost before it finished. The input may need more memory than the service has."
+                .into(),
+        };
+        let lost = serde_json::to_string(&lost).unwrap_or_default();
+        let sql = format!(
+            "UPDATE jobs SET max_attempts = max_attempts + {credit},
+                state = CASE WHEN cancel_requested THEN 'cancelled' WHEN attempts < max_attempts + {credit} THEN 'queued' ELSE 'failed' END,
+                error = CASE WHEN NOT cancel_requested AND attempts >= max_attempts + {credit} THEN $1 END,
+                finished_at = CASE WHEN cancel_requested OR attempts >= max_attempts + {credit} THEN {{now}} END,
+                run_after = {{now}} + {} * attempts, lease_owner = NULL, lease_until = NULL, stage = NULL, version = version + 1
+            WHERE state = 'running' AND {filter}
+            RETURNING id, state, input_bytes",
+            milliseconds(pause)
+        );
+        let mut values = values![lost];
+        values.extend(filter_values);
+        let mut transaction = database.begin().await?;
+        let rows = transaction.fetch(&database.render(&sql), values).await?;
+        let mut reaped = Vec::with_capacity(rows.len());
+        let mut queued = Load::default();
+        for row in &rows {
+            let id = parse_id(&row.get::<String>(0)?)?;
+            let state =
+                State::from_name(&row.get::<String>(1)?).ok_or_else(|| StoreError::Damaged { what: format!("state of job {id}") })?;
+            if state.is_final() {
+                self.drop_input(&mut transaction, id).await?;
+            } else {
+                queued.jobs += 1;
+                queued.bytes += row.get::<i64>(2)? as u64;
+            }
+            reaped.push(Reaped { id, state });
+        }
+        transaction.commit().await?;
+        self.inner.queue.entered(queued);
+        for reaped in &reaped {
+            self.inner.watchers.announce(reaped.id);
+            if reaped.state.is_final() {
+                finished(reaped.state);
+            }
+        }
+        (0..queued.jobs).for_each(|_| self.inner.work_ready.notify_one());
+        Ok(reaped)
+    }
+}
+
+fn milliseconds(duration: Duration) -> i64 {
+    i64::try_from(duration.as_millis()).unwrap_or(i64::MAX / 2)
+}

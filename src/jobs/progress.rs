@@ -1,0 +1,122 @@
+//! How a running reconstruction is watched and stopped: the [`Monitor`] the worker gives to the pipeline. Here is the clock the pipeline
+//! does not have.
+
+use crate::pipeline::monitor::{Monitor, Stage};
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::{
+        Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Instant,
+};
+
+/// What a running job has done so far.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Snapshot {
+    /// Part of the work done, 0 to 1.
+    pub fraction: f64,
+    /// The stage that began last.
+    pub stage: Option<Stage>,
+    /// Gates finished.
+    pub gates_done: u64,
+}
+
+/// Progress, timing and cancellation of one attempt at a job.
+#[derive(Debug)]
+pub struct Progress {
+    began: Instant,
+    cancelled: AtomicBool,
+    state: Mutex<Timeline>,
+}
+
+#[derive(Debug, Default)]
+struct Timeline {
+    snapshot: Snapshot,
+    under_way: HashMap<(Stage, Option<usize>), Instant>,
+    stages_ms: BTreeMap<Stage, f64>,
+}
+
+impl Progress {
+    /// Begins now.
+    pub fn begin_now() -> Self {
+        Self { began: Instant::now(), cancelled: AtomicBool::new(false), state: Mutex::default() }
+    }
+
+    fn state(&self) -> MutexGuard<'_, Timeline> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Asks the reconstruction to stop.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// What was done so far.
+    pub fn snapshot(&self) -> Snapshot {
+        self.state().snapshot.clone()
+    }
+
+    /// Time since the beginning in ms.
+    pub fn elapsed_ms(&self) -> f64 {
+        self.began.elapsed().as_secs_f64() * 1e3
+    }
+
+    /// Time spent in each finished stage in ms, by [`Stage::name`], summed over gates. Gates run at once, so the sum may exceed
+    /// [`Progress::elapsed_ms`].
+    pub fn stages_ms(&self) -> BTreeMap<String, f64> {
+        self.state().stages_ms.iter().map(|(stage, ms)| (stage.name().to_owned(), *ms)).collect()
+    }
+}
+
+impl Monitor for Progress {
+    fn begin(&self, stage: Stage, gate: Option<usize>) {
+        let mut state = self.state();
+        state.snapshot.stage = Some(stage);
+        state.under_way.insert((stage, gate), Instant::now());
+    }
+
+    fn end(&self, stage: Stage, gate: Option<usize>) {
+        let mut state = self.state();
+        if let Some(began) = state.under_way.remove(&(stage, gate)) {
+            *state.stages_ms.entry(stage).or_default() += began.elapsed().as_secs_f64() * 1e3;
+        }
+        if stage == Stage::Measurement && gate.is_some() {
+            state.snapshot.gates_done += 1;
+        }
+    }
+
+    fn advance(&self, done: usize, total: usize) {
+        if total == 0 {
+            return;
+        }
+        let fraction = (done as f64 / total as f64).min(1.0);
+        let mut state = self.state();
+        state.snapshot.fraction = state.snapshot.fraction.max(fraction);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_never_goes_back_and_counts_finished_gates() {
+        let progress = Progress::begin_now();
+        progress.advance(3, 8);
+        progress.advance(2, 8);
+        progress.begin(Stage::Edges, Some(0));
+        progress.end(Stage::Edges, Some(0));
+        progress.begin(Stage::Measurement, Some(0));
+        progress.end(Stage::Measurement, Some(0));
+        assert_eq!(progress.snapshot(), Snapshot { fraction: 0.375, stage: Some(Stage::Measurement), gates_done: 1 });
+        assert_eq!(progress.stages_ms().keys().collect::<Vec<_>>(), ["edges", "measurement"]);
+        assert!(!progress.is_cancelled());
+        progress.cancel();
+        assert!(progress.is_cancelled());
+    }
+}

@@ -1,0 +1,31 @@
+//! Who takes back what lost workers held. Every node has one; which of them is first does not matter.
+
+use super::store::Store;
+use std::time::Duration;
+use tokio::time::{MissedTickBehavior, interval};
+
+/// Looks this often in the time of one lease, so that a lost job waits at most a third longer than its lease.
+const LOOKS_PER_LEASE: u32 = 3;
+/// The shortest time between two looks.
+const SHORTEST_PAUSE: Duration = Duration::from_millis(50);
+
+/// Takes back jobs whose lease is over, for ever.
+pub(super) async fn run(store: Store) {
+    let mut looks = interval((store.inner.settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE));
+    looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        looks.tick().await;
+        match store.reap().await {
+            Ok(reaped) => {
+                for job in reaped {
+                    tracing::warn!(job = %job.id, state = job.state.name(), "the worker of a job was lost");
+                    metrics::counter!("ventricle_jobs_reaped_total", "state" => job.state.name()).increment(1);
+                }
+            }
+            Err(error) => tracing::warn!(%error, "lost jobs could not be looked for"),
+        }
+        if let Err(error) = store.publish_counts().await {
+            tracing::warn!(%error, "the queue could not be counted");
+        }
+    }
+}

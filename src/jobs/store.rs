@@ -1,0 +1,478 @@
+//! The rows of the jobs and their data, as callers see them: submit, read, list, delete. The worker's side is in `lease.rs`.
+
+use super::{
+    database::{Database, Row, Transaction, values},
+    error::{QueueFull, StoreError, SubmitError},
+    input,
+    job::{Blob, Counts, Deletion, Job, ListQuery, NewJob, Page, State, Submitted},
+    progress::Progress,
+    queue::{Load, Queue, Reservation},
+    schema,
+    watch::Watchers,
+};
+use jiff::Timestamp;
+use sha2::{Digest, Sha256};
+use std::{
+    collections::HashMap,
+    path::PathBuf,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+use tokio::{sync::Notify, time::Instant};
+use uuid::Uuid;
+
+/// Name of the blob that holds the study.
+pub(super) const INPUT: &str = "input";
+
+/// What every read of a job selects. The place in the queue is counted only where there is one.
+const SELECT: &str = "
+    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, error,
+        study_instance_uid, cancel_requested, {now} AS read_at,
+        CASE WHEN state = 'queued' THEN (
+            SELECT COUNT(*) FROM jobs AS ahead
+            WHERE ahead.state = 'queued'
+                AND (ahead.priority > jobs.priority OR (ahead.priority = jobs.priority AND ahead.id <= jobs.id))
+        ) END AS queue_position
+    FROM jobs";
+
+/// Where jobs are kept.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Backend {
+    /// An embedded database in this directory, made if it is not there. One process only.
+    Sqlite {
+        /// The data directory.
+        directory: PathBuf,
+    },
+    /// A PostgreSQL database any number of nodes share.
+    Postgres {
+        /// `postgres://user:password@host/database`.
+        url: String,
+    },
+}
+
+impl std::fmt::Debug for Backend {
+    /// Without the URL, which may hold a password.
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Sqlite { directory } => formatter.debug_struct("Sqlite").field("directory", directory).finish(),
+            Self::Postgres { .. } => formatter.debug_struct("Postgres").finish_non_exhaustive(),
+        }
+    }
+}
+
+/// Everything about a store that can be chosen.
+#[derive(Debug, Clone)]
+pub struct StoreSettings {
+    /// Where jobs are kept.
+    pub backend: Backend,
+    /// Most jobs waiting for a worker.
+    pub max_queued_jobs: u64,
+    /// Most bytes of input waiting for a worker.
+    pub max_queued_bytes: u64,
+    /// Claims of a job before it is given up as `worker_lost`.
+    pub max_attempts: u32,
+    /// How long a worker may hold a job without a heartbeat.
+    pub lease: Duration,
+    /// Whether the input of a finished job is kept.
+    pub keep_input: bool,
+    /// How long to wait for another process to leave the data directory.
+    pub directory_wait: Duration,
+    /// How often changes made by other processes are looked for while waiting.
+    pub poll: Duration,
+    /// Connections to PostgreSQL (SQLite has one).
+    pub connections: u32,
+}
+
+impl Default for StoreSettings {
+    /// An embedded database in `./data`.
+    fn default() -> Self {
+        Self {
+            backend: Backend::Sqlite { directory: PathBuf::from("data") },
+            // A thousand eight-gate studies are an hour of work for two cores and 1.6 GB of input.
+            max_queued_jobs: 1000,
+            max_queued_bytes: 4 << 30,
+            max_attempts: 3,
+            // Six heartbeats: one late answer of a busy disk costs no job.
+            lease: Duration::from_secs(30),
+            keep_input: false,
+            // A service manager may start the next process while the last one still closes its files.
+            directory_wait: Duration::from_secs(5),
+            poll: Duration::from_secs(1),
+            connections: 10,
+        }
+    }
+}
+
+/// The store of one process. Clones share it.
+#[derive(Debug, Clone)]
+pub struct Store {
+    pub(super) inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub(super) database: Database,
+    pub(super) settings: StoreSettings,
+    pub(super) queue: Arc<Queue>,
+    pub(super) watchers: Watchers,
+    /// Told when a job may be claimed.
+    pub(super) work_ready: Notify,
+    /// What the workers of this process hold.
+    running: Mutex<HashMap<Uuid, Arc<Progress>>>,
+}
+
+impl Store {
+    /// Opens the store, makes or upgrades its tables and, on SQLite, puts what was running when the last process ended back into the
+    /// queue (that no other process has the directory is certain).
+    pub async fn open(settings: StoreSettings) -> Result<Self, StoreError> {
+        let database = match &settings.backend {
+            Backend::Sqlite { directory } => Database::sqlite(directory, settings.directory_wait).await?,
+            Backend::Postgres { url } => Database::postgres(url, settings.connections).await?,
+        };
+        schema::upgrade(&database).await?;
+        let limit = Load { jobs: settings.max_queued_jobs, bytes: settings.max_queued_bytes };
+        let queue = Arc::new(Queue::new(limit, Load::default(), recent_durations_s(&database).await?));
+        let inner =
+            Inner { database, settings, queue, watchers: Watchers::default(), work_ready: Notify::new(), running: Mutex::default() };
+        let store = Self { inner: Arc::new(inner) };
+        if !store.inner.database.is_shared() {
+            let reaped = store.reap_all().await?;
+            if !reaped.is_empty() {
+                tracing::info!(jobs = reaped.len(), "continuing what was running when the last process ended");
+            }
+        }
+        let counts = store.counts().await?;
+        store.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        Ok(store)
+    }
+
+    /// Closes the database. Later operations of all clones fail.
+    pub async fn close(&self) {
+        self.inner.database.close().await;
+    }
+
+    /// A place in the queue for a job of so many bytes, to be taken before its body is read.
+    pub fn reserve(&self, bytes: u64) -> Result<Reservation, QueueFull> {
+        self.inner.queue.reserve(bytes)
+    }
+
+    /// Stores a job. When this returns, the job is committed to disk. Runs to its end even if the caller goes away.
+    pub async fn submit(&self, reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
+        let store = self.clone();
+        tokio::spawn(async move { store.submit_to_end(reservation, new).await }).await.map_err(|_| StoreError::Interrupted)?
+    }
+
+    async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
+        let (owner, key, hash) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash);
+        let row = tokio::task::spawn_blocking(move || NewRow::prepare(new)).await.map_err(|_| StoreError::Interrupted)??;
+        let (id, bytes) = (row.id, row.input.len() as u64);
+        let mut transaction = self.inner.database.begin().await?;
+        // Where processes share the database, submissions go one by one: the limits are exact.
+        transaction.fetch(&self.inner.database.render("{lock_queue}"), vec![]).await?;
+        if let Some(key) = &key
+            && let Some(existing) = existing(&mut transaction, &owner, key, &hash).await?
+        {
+            return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
+        }
+        reservation.resize(bytes)?;
+        let queued = queued(&mut transaction).await?;
+        if !self.inner.queue.within_limit(Load { jobs: queued.jobs + 1, bytes: queued.bytes.saturating_add(bytes) }) {
+            return Err(self.inner.queue.full().into());
+        }
+        row.insert(self, &mut transaction).await?;
+        let job = self.get_in(&mut transaction, id).await?;
+        transaction.commit().await?;
+        reservation.into_queued(bytes);
+        self.inner.work_ready.notify_one();
+        metrics::counter!("ventricle_jobs_submitted_total").increment(1);
+        Ok(Submitted::Created(job))
+    }
+
+    /// A job.
+    pub async fn get(&self, id: Uuid) -> Result<Option<Job>, StoreError> {
+        let sql = format!("{SELECT} WHERE id = $1");
+        self.inner.database.fetch_one(&sql, values![id]).await?.map(|row| self.job(&row)).transpose()
+    }
+
+    /// A job that is known to be there.
+    async fn get_in(&self, transaction: &mut Transaction, id: Uuid) -> Result<Job, StoreError> {
+        let sql = self.inner.database.render(&format!("{SELECT} WHERE id = $1"));
+        match transaction.fetch_one(&sql, values![id]).await? {
+            Some(row) => self.job(&row),
+            None => Err(StoreError::Damaged { what: format!("job {id} is not where it was") }),
+        }
+    }
+
+    /// Jobs, newest first.
+    pub async fn list(&self, query: ListQuery) -> Result<Page, StoreError> {
+        let limit = match query.limit {
+            0 => ListQuery::DEFAULT_LIMIT,
+            limit => limit.min(ListQuery::LARGEST_LIMIT),
+        } as usize;
+        let sql = format!(
+            "{SELECT} WHERE ($1 IS NULL OR state = $1) AND ($2 IS NULL OR study_instance_uid = $2) AND ($3 IS NULL OR id < $3)
+            ORDER BY id DESC LIMIT $4"
+        );
+        let state = query.state.map(|state| state.name().to_owned());
+        let cursor = query.cursor.map(|id| id.to_string());
+        let values = values![state, query.study_instance_uid, cursor, limit as i64 + 1];
+        let rows = self.inner.database.fetch(&sql, values).await?;
+        let mut jobs = rows.iter().map(|row| self.job(row)).collect::<Result<Vec<_>, _>>()?;
+        let more = jobs.len() > limit;
+        jobs.truncate(limit);
+        Ok(Page { next_cursor: jobs.last().filter(|_| more).map(|job| job.id), jobs })
+    }
+
+    /// Cancels a job that is not finished, deletes one that is, with all its data. Runs to its end even if the caller goes away.
+    pub async fn delete(&self, id: Uuid) -> Result<Deletion, StoreError> {
+        let store = self.clone();
+        tokio::spawn(async move { store.delete_to_end(id).await }).await.map_err(|_| StoreError::Interrupted)?
+    }
+
+    async fn delete_to_end(&self, id: Uuid) -> Result<Deletion, StoreError> {
+        let database = &self.inner.database;
+        let mut transaction = database.begin().await?;
+        // Each statement acts in one state only, so that a worker claiming or finishing the job meanwhile cannot make two of them act.
+        let cancel = "UPDATE jobs SET state = 'cancelled', cancel_requested = TRUE, finished_at = {now}, version = version + 1
+            WHERE id = $1 AND state = 'queued' RETURNING input_bytes";
+        if let Some(row) = transaction.fetch_one(&database.render(cancel), values![id]).await? {
+            let bytes = row.get::<i64>(0)?;
+            self.drop_input(&mut transaction, id).await?;
+            let job = self.get_in(&mut transaction, id).await?;
+            transaction.commit().await?;
+            self.inner.queue.left(bytes as u64);
+            self.inner.watchers.announce(id);
+            finished(State::Cancelled);
+            return Ok(Deletion::Cancelled(job));
+        }
+        let request = "UPDATE jobs SET cancel_requested = TRUE, version = CASE WHEN cancel_requested THEN version ELSE version + 1 END
+            WHERE id = $1 AND state = 'running'";
+        if transaction.execute(request, values![id]).await? > 0 {
+            let job = self.get_in(&mut transaction, id).await?;
+            transaction.commit().await?;
+            if let Some(progress) = self.running().get(&id) {
+                progress.cancel();
+            }
+            self.inner.watchers.announce(id);
+            return Ok(Deletion::Cancelling(job));
+        }
+        let delete = "DELETE FROM jobs WHERE id = $1 AND state IN ('succeeded', 'failed', 'cancelled')";
+        let deleted = transaction.execute(delete, values![id]).await?;
+        transaction.commit().await?;
+        self.inner.watchers.announce(id);
+        Ok(if deleted > 0 { Deletion::Deleted } else { Deletion::NotFound })
+    }
+
+    /// A result of a job by name: `report`, `surfaces.glb`, `gates/{n}/endocardial.glb`, `gates/{n}/epicardial.glb` (n from 1).
+    pub async fn blob(&self, id: Uuid, name: &str) -> Result<Option<Blob>, StoreError> {
+        let sql = "SELECT media_type, sha256, data FROM blobs WHERE job_id = $1 AND name = $2";
+        let Some(row) = self.inner.database.fetch_one(sql, values![id, name]).await? else { return Ok(None) };
+        let blob = Blob { media_type: row.get(0)?, sha256: row.get(1)?, data: row.get(2)? };
+        drop(row);
+        let name = name.to_owned();
+        tokio::task::spawn_blocking(move || {
+            if sha256(&blob.data) == blob.sha256 {
+                Ok(Some(blob))
+            } else {
+                Err(StoreError::Damaged { what: format!("{name} of job {id} does not match its SHA-256") })
+            }
+        })
+        .await
+        .map_err(|_| StoreError::Interrupted)?
+    }
+
+    /// Waits until the job's version differs from `seen_version`, the job is in a final state, or the time is over, whichever is
+    /// first, and returns the job as it then is; `None` if there is no such job (any more).
+    pub async fn wait_for_change(&self, id: Uuid, seen_version: i64, timeout: Duration) -> Result<Option<Job>, StoreError> {
+        let deadline = Instant::now() + timeout;
+        let mut watcher = self.inner.watchers.watch(id);
+        loop {
+            let job = self.get(id).await?;
+            let waiting = job.as_ref().is_some_and(|job| job.version == seen_version && !job.state.is_final());
+            if !waiting || Instant::now() >= deadline {
+                return Ok(job);
+            }
+            let next_look = deadline.min(Instant::now() + self.inner.settings.poll);
+            tokio::select! {
+                () = watcher.changed() => {}
+                () = tokio::time::sleep_until(next_look) => {}
+            }
+        }
+    }
+
+    /// How full the store is.
+    pub async fn counts(&self) -> Result<Counts, StoreError> {
+        let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(input_bytes), 0) AS BIGINT), {now} - MIN(created_at),
+            (SELECT COUNT(*) FROM jobs WHERE state = 'running') FROM jobs WHERE state = 'queued'";
+        let (limit, reserved) = (self.inner.queue.limit(), self.inner.queue.reserved());
+        let mut counts =
+            Counts { reserved: reserved.jobs, max_queued_jobs: limit.jobs, max_queued_bytes: limit.bytes, ..Counts::default() };
+        if let Some(row) = self.inner.database.fetch_one(sql, vec![]).await? {
+            counts.queued = row.get::<i64>(0)? as u64;
+            counts.queued_bytes = row.get::<i64>(1)? as u64;
+            counts.oldest_queued_s = row.get::<Option<i64>>(2)?.map(|ms| ms.max(0) as f64 / 1e3);
+            counts.running = row.get::<i64>(3)? as u64;
+        }
+        Ok(counts)
+    }
+
+    /// Whether the database answers.
+    pub async fn ping(&self) -> Result<(), StoreError> {
+        self.inner.database.fetch_one("SELECT version FROM schema_version", vec![]).await.map(drop)
+    }
+
+    /// Tells the metrics what the rows say and, where other processes change them too, the queue.
+    pub(super) async fn publish_counts(&self) -> Result<(), StoreError> {
+        let counts = self.counts().await?;
+        if self.inner.database.is_shared() {
+            self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        }
+        metrics::gauge!("ventricle_jobs_running").set(counts.running as f64);
+        metrics::gauge!("ventricle_queue_oldest_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
+        Ok(())
+    }
+
+    /// What the workers of this process hold.
+    pub(super) fn running(&self) -> MutexGuard<'_, HashMap<Uuid, Arc<Progress>>> {
+        self.inner.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Deletes the input of a job that is finished, unless inputs are kept.
+    pub(super) async fn drop_input(&self, transaction: &mut Transaction, id: Uuid) -> Result<(), StoreError> {
+        if !self.inner.settings.keep_input {
+            transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
+        }
+        Ok(())
+    }
+
+    /// A job from a row of [`SELECT`].
+    fn job(&self, row: &Row) -> Result<Job, StoreError> {
+        let id = parse_id(&row.named::<String>("id")?)?;
+        let damaged = |what: &str| StoreError::Damaged { what: format!("{what} of job {id}") };
+        let time = |column: &str| {
+            let ms = row.named::<Option<i64>>(column)?;
+            ms.map(|ms| Timestamp::from_millisecond(ms).map_err(|_| damaged(column))).transpose()
+        };
+        let state = State::from_name(&row.named::<String>("state")?).ok_or_else(|| damaged("state"))?;
+        let progress = row.named::<f64>("progress")?;
+        let queue_position = row.named::<Option<i64>>("queue_position")?.map(|position| position as u64);
+        let read_at = time("read_at")?;
+        let started_at = time("started_at")?;
+        let elapsed_s = read_at.zip(started_at).map_or(0.0, |(now, start)| now.duration_since(start).as_secs_f64().max(0.0));
+        let eta_seconds = match state {
+            State::Queued => queue_position.and_then(|position| self.inner.queue.eta_queued_s(position)),
+            State::Running => self.inner.queue.eta_running_s(elapsed_s, progress),
+            State::Succeeded | State::Failed | State::Cancelled => None,
+        };
+        let error = row.named::<Option<String>>("error")?;
+        Ok(Job {
+            id,
+            state,
+            progress,
+            stage: row.named("stage")?,
+            gates_done: row.named::<i64>("gates_done")? as u64,
+            gates_total: row.named::<i64>("gates_total")? as u64,
+            queue_position,
+            eta_seconds,
+            attempt: row.named::<i64>("attempts")? as u32,
+            version: row.named("version")?,
+            created_at: time("created_at")?.ok_or_else(|| damaged("created_at"))?,
+            started_at,
+            finished_at: time("finished_at")?,
+            error: error.map(|text| serde_json::from_str(&text)).transpose().map_err(|_| damaged("error"))?,
+            study_instance_uid: row.named("study_instance_uid")?,
+            cancel_requested: row.named("cancel_requested")?,
+        })
+    }
+}
+
+/// A job about to be inserted.
+struct NewRow {
+    id: Uuid,
+    new: NewJob,
+    parameters: String,
+    input: Vec<u8>,
+    sha256: String,
+}
+
+impl NewRow {
+    fn prepare(new: NewJob) -> Result<Self, StoreError> {
+        let damaged = |error: &dyn std::fmt::Display| StoreError::Damaged { what: format!("a study cannot be stored: {error}") };
+        let input = input::encode(&new.study).map_err(|error| damaged(&error))?;
+        let parameters = serde_json::to_string(&new.parameters).map_err(|error| damaged(&error))?;
+        let sha256 = sha256(&input);
+        Ok(Self { id: Uuid::now_v7(), new, parameters, input, sha256 })
+    }
+
+    async fn insert(self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
+        let sql = store.inner.database.render(
+            "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
+                max_attempts, run_after, gates_total, created_at)
+            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now})",
+        );
+        let size = self.input.len() as i64;
+        let values = values![
+            self.id,
+            self.new.owner,
+            self.new.idempotency_key,
+            self.new.request_hash.to_vec(),
+            self.parameters,
+            self.new.study.acquisition.study_instance_uid,
+            size,
+            i64::from(store.inner.settings.max_attempts),
+            self.new.study.gates.len() as i64,
+        ];
+        transaction.execute(&sql, values).await?;
+        insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await
+    }
+}
+
+pub(super) async fn insert_blob(
+    transaction: &mut Transaction,
+    job_id: Uuid,
+    name: &str,
+    media_type: &str,
+    sha256: String,
+    data: Vec<u8>,
+) -> Result<(), StoreError> {
+    let sql = "INSERT INTO blobs (job_id, name, media_type, sha256, size, data) VALUES ($1, $2, $3, $4, $5, $6)";
+    transaction.execute(sql, values![job_id, name, media_type, sha256, data.len() as i64, data]).await.map(drop)
+}
+
+/// The job an owner made under a key, if the request was the same.
+async fn existing(transaction: &mut Transaction, owner: &str, key: &str, hash: &[u8; 32]) -> Result<Option<Uuid>, SubmitError> {
+    let sql = "SELECT id, request_hash FROM jobs WHERE owner = $1 AND idempotency_key = $2";
+    let Some(row) = transaction.fetch_one(sql, values![owner, key]).await? else { return Ok(None) };
+    if row.get::<Vec<u8>>(1)? != hash {
+        return Err(SubmitError::KeyReused);
+    }
+    Ok(Some(parse_id(&row.get::<String>(0)?)?))
+}
+
+/// What is queued, by the rows.
+async fn queued(transaction: &mut Transaction) -> Result<Load, StoreError> {
+    let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(input_bytes), 0) AS BIGINT) FROM jobs WHERE state = 'queued'";
+    let row = transaction.fetch_one(sql, vec![]).await?;
+    row.map_or(Ok(Load::default()), |row| Ok(Load { jobs: row.get::<i64>(0)? as u64, bytes: row.get::<i64>(1)? as u64 }))
+}
+
+/// Durations in s of the jobs that succeeded last, latest first.
+async fn recent_durations_s(database: &Database) -> Result<Vec<f64>, StoreError> {
+    let sql = "SELECT finished_at - started_at FROM jobs WHERE state = 'succeeded' AND started_at IS NOT NULL ORDER BY id DESC LIMIT 32";
+    database.fetch(sql, vec![]).await?.iter().map(|row| Ok(row.get::<i64>(0)?.max(0) as f64 / 1e3)).collect()
+}
+
+/// Counts a job that reached a final state.
+pub(super) fn finished(state: State) {
+    metrics::counter!("ventricle_jobs_finished_total", "state" => state.name()).increment(1);
+}
+
+pub(super) fn parse_id(text: &str) -> Result<Uuid, StoreError> {
+    Uuid::parse_str(text).map_err(|_| StoreError::Damaged { what: format!("job id {text:?}") })
+}
+
+/// SHA-256 in lower-case hexadecimal.
+pub(super) fn sha256(data: &[u8]) -> String {
+    let nibbles = Sha256::digest(data).into_iter().flat_map(|byte| [byte >> 4, byte & 0xf]);
+    nibbles.filter_map(|nibble| char::from_digit(nibble.into(), 16)).collect()
+}

@@ -1,0 +1,63 @@
+//! Who waits for a change of which job. A hint only: changes made by other processes are found by polling.
+
+use std::{
+    collections::HashMap,
+    sync::{Mutex, MutexGuard, PoisonError},
+};
+use tokio::sync::watch;
+use uuid::Uuid;
+
+/// The waiting callers of one process.
+#[derive(Debug, Default)]
+pub(super) struct Watchers {
+    by_job: Mutex<HashMap<Uuid, watch::Sender<()>>>,
+}
+
+/// One waiting caller.
+pub(super) struct Watcher<'a> {
+    watchers: &'a Watchers,
+    id: Uuid,
+    receiver: Option<watch::Receiver<()>>,
+}
+
+impl Watchers {
+    fn by_job(&self) -> MutexGuard<'_, HashMap<Uuid, watch::Sender<()>>> {
+        self.by_job.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sees every change announced from now on.
+    pub(super) fn watch(&self, id: Uuid) -> Watcher<'_> {
+        let receiver = self.by_job().entry(id).or_insert_with(|| watch::channel(()).0).subscribe();
+        Watcher { watchers: self, id, receiver: Some(receiver) }
+    }
+
+    /// The job has changed.
+    pub(super) fn announce(&self, id: Uuid) {
+        if let Some(sender) = self.by_job().get(&id) {
+            sender.send_replace(());
+        }
+    }
+}
+
+impl Watcher<'_> {
+    /// Waits for the next change not yet waited for.
+    pub(super) async fn changed(&mut self) {
+        if let Some(receiver) = &mut self.receiver
+            && receiver.changed().await.is_ok()
+        {
+            return;
+        }
+        // The sender lives while a watcher does; should it not, polling goes on.
+        std::future::pending::<()>().await;
+    }
+}
+
+impl Drop for Watcher<'_> {
+    fn drop(&mut self) {
+        let mut by_job = self.watchers.by_job();
+        drop(self.receiver.take());
+        if by_job.get(&self.id).is_some_and(|sender| sender.receiver_count() == 0) {
+            by_job.remove(&self.id);
+        }
+    }
+}

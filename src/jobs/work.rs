@@ -1,0 +1,96 @@
+//! What a job computes: reconstruction, report and surfaces.
+
+use super::progress::Progress;
+use crate::{
+    export::{ExportError, glb},
+    pipeline::{self, PipelineError, Surface, monitor::Monitor, parameters::Parameters},
+    report::{self, Timing},
+    study::Study,
+};
+use std::sync::Arc;
+use uuid::Uuid;
+
+/// Name of the report among a job's blobs.
+pub const REPORT: &str = "report";
+/// Name of the animated surfaces among a job's blobs.
+pub const SURFACES: &str = "surfaces.glb";
+/// Media type of binary glTF (glTF 2.0 §3.2).
+const GLB: &str = "model/gltf-binary";
+
+/// Name of one surface of one gate (from 1) among a job's blobs.
+pub fn surface_name(gate: usize, surface: Surface) -> String {
+    format!("gates/{gate}/{}.glb", surface.name())
+}
+
+/// One result of a job.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// Name among the job's blobs.
+    pub name: String,
+    /// Media type of the data.
+    pub media_type: &'static str,
+    /// The data.
+    pub data: Vec<u8>,
+}
+
+/// Why there is no result.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum WorkError {
+    /// The progress said stop.
+    #[error("The work was cancelled.")]
+    Cancelled,
+    /// The same input would fail again; the sentence is for the user.
+    #[error("{message}")]
+    Failed {
+        /// Stable `snake_case` code.
+        code: &'static str,
+        /// One or two sentences for the user.
+        message: String,
+    },
+    /// A fault of the program; the text is for the log only.
+    #[error("{0}")]
+    Internal(String),
+}
+
+/// What a worker does with a job. Runs inside the worker's own rayon pool; may panic.
+pub type Work = Arc<dyn Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync>;
+
+/// Reconstructs the study; the results are [`REPORT`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF).
+pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, progress: &Progress) -> Result<Vec<Output>, WorkError> {
+    let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
+    let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
+    let report = report::build(&id.to_string(), study, &reconstruction, &timing);
+    let report = serde_json::to_vec(&report).map_err(|error| WorkError::Internal(format!("report: {error}")))?;
+    let mut outputs = vec![
+        Output { name: REPORT.to_owned(), media_type: "application/json", data: report },
+        Output { name: SURFACES.to_owned(), media_type: GLB, data: glb::cycle(study, &reconstruction)? },
+    ];
+    for gate in 0..reconstruction.gates.len() {
+        if progress.is_cancelled() {
+            return Err(WorkError::Cancelled);
+        }
+        for surface in Surface::BOTH {
+            let data = glb::surface(study, &reconstruction, gate, surface)?;
+            outputs.push(Output { name: surface_name(gate + 1, surface), media_type: GLB, data });
+        }
+    }
+    Ok(outputs)
+}
+
+impl From<PipelineError> for WorkError {
+    fn from(error: PipelineError) -> Self {
+        match error {
+            PipelineError::Cancelled => Self::Cancelled,
+            error => Self::Failed { code: error.code(), message: error.to_string() },
+        }
+    }
+}
+
+impl From<ExportError> for WorkError {
+    fn from(error: ExportError) -> Self {
+        match error {
+            ExportError::Json(error) => Self::Internal(format!("glTF: {error}")),
+            error => Self::Failed { code: "export_failed", message: error.to_string() },
+        }
+    }
+}

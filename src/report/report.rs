@@ -1,0 +1,384 @@
+//! The report of one reconstruction as JSON: volumes, function, wall, how far the fit converged, and what to beware of.
+//!
+//! Names are part of the HTTP contract: fields are added, never renamed. Values are the full `f64`, unrounded, so that reports compare
+//! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
+
+use crate::{
+    pipeline::{Fit, GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters},
+    study::{Format, Study, Warning},
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// The value of `schema` in every report of this shape.
+pub const SCHEMA: &str = "ventricle.report/1";
+
+/// Density of myocardium in g/ml: 1.053 for blood-perfused rat heart (Vinnakota and Bassingthwaighte, Am J Physiol Heart Circ Physiol
+/// 286:H1742, 2004), 1.05 by the convention of the cardiac imaging societies, which is what other packages multiply with.
+pub const MYOCARDIAL_DENSITY_G_PER_ML: f64 = 1.05;
+
+/// Beyond which a result carries a flag.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct QualityLimits {
+    /// Fraction of a surface's particles that must end within one voxel of the border, 0-1.
+    pub within_one_voxel: f64,
+    /// Coefficient of variation of the wall's volume over the cycle, in percent.
+    pub wall_variation_percent: f64,
+}
+
+/// The limits in use. The paper's phantoms end with 95 % or more of the particles within one voxel (its Table 1). Myocardium is nearly
+/// incompressible, so a wall whose volume varies by more than 5 % over the cycle was measured wrongly in some gate.
+pub const QUALITY_LIMITS: QualityLimits = QualityLimits { within_one_voxel: 0.95, wall_variation_percent: 5.0 };
+
+/// What was found in a study.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Report {
+    /// Version of this shape: `ventricle.report/1`. Fields may be added under the same version.
+    #[schema(example = "ventricle.report/1")]
+    pub schema: String,
+    /// The reconstruction's id.
+    pub id: String,
+    /// What computed it.
+    pub software: Software,
+    /// What it was computed from.
+    pub study: StudySummary,
+    /// Ventricular function; null for a study of one gate, which has no cycle.
+    #[schema(required)]
+    pub function: Option<Function>,
+    /// One entry a gate, in time order.
+    pub gates: Vec<GateReport>,
+    /// The wall between the surfaces.
+    pub myocardium: Myocardium,
+    /// Where the ventricle was looked for.
+    pub region: RegionSummary,
+    /// How far the result can be relied on, as far as the computation itself can tell.
+    pub quality: Quality,
+    /// The parameters used, each with its value.
+    #[schema(value_type = Object)]
+    pub parameters: Parameters,
+    /// What the reader should know, about the input first, then about the result.
+    pub warnings: Vec<Remark>,
+    /// How long it took.
+    pub timing_ms: TimingReport,
+}
+
+/// The program that made a report.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Software {
+    /// Always `ventricle`.
+    pub name: String,
+    /// Semantic version.
+    pub version: String,
+}
+
+/// The study a report is about.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StudySummary {
+    /// DICOM Study Instance UID, if the input has one.
+    #[schema(required)]
+    pub study_instance_uid: Option<String>,
+    /// DICOM Series Instance UID, if the input has one.
+    #[schema(required)]
+    pub series_instance_uid: Option<String>,
+    /// DICOM SOP Instance UIDs of the files, in the order received.
+    pub sop_instance_uids: Vec<String>,
+    /// The format it came in: `dicom`, `nifti`, `json` or `phantom`.
+    #[schema(value_type = String, example = "dicom")]
+    pub format: Format,
+    /// Number of gates; 1 for an ungated study.
+    pub gates: usize,
+    /// The lattice.
+    pub grid: GridSummary,
+    /// Mean R-R interval in ms, if known.
+    #[schema(required)]
+    pub rr_interval_ms: Option<f64>,
+    /// Heart rate in beats a minute, if known.
+    #[schema(required)]
+    pub heart_rate_bpm: Option<f64>,
+}
+
+/// The lattice of a study.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct GridSummary {
+    /// Voxels along slices, rows, columns.
+    pub shape: [usize; 3],
+    /// Distance between voxel centres along slices, rows, columns, in mm.
+    pub spacing_mm: [f64; 3],
+}
+
+/// Ventricular function over the gates.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Function {
+    /// End-diastolic volume: the largest endocardial volume, in ml.
+    pub edv_ml: f64,
+    /// End-systolic volume: the smallest endocardial volume, in ml.
+    pub esv_ml: f64,
+    /// Stroke volume EDV − ESV in ml.
+    pub sv_ml: f64,
+    /// Ejection fraction (EDV − ESV) / EDV in percent.
+    pub ef_percent: f64,
+    /// The gate of the EDV, counted from 1; the first of equals.
+    pub end_diastolic_gate: usize,
+    /// The gate of the ESV, counted from 1; the first of equals.
+    pub end_systolic_gate: usize,
+}
+
+/// One gate's volumes and fits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct GateReport {
+    /// Counted from 1.
+    pub gate: usize,
+    /// Volume of the cavity, up to the valve plane, in ml.
+    pub endocardial_ml: f64,
+    /// Volume inside the outer surface, up to the valve plane, in ml.
+    pub epicardial_ml: f64,
+    /// Volume of the wall, the difference, in ml.
+    pub myocardial_ml: f64,
+    /// How the surfaces were reached.
+    pub fit: SurfaceFits,
+}
+
+/// How both surfaces of a gate were reached.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SurfaceFits {
+    /// The inner surface.
+    pub endocardial: FitSummary,
+    /// The outer surface.
+    pub epicardial: FitSummary,
+}
+
+/// How one surface was reached. This measures convergence to the border that was detected, not accuracy.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FitSummary {
+    /// Particles less than one voxel from the border, in percent.
+    pub within_one_voxel_percent: f64,
+    /// Mean distance of the particles to the nearest border voxel, in mm.
+    pub mean_distance_mm: f64,
+    /// Time steps of the deformable model.
+    pub steps: usize,
+    /// Particles that froze on the border, in percent.
+    pub frozen_percent: f64,
+    /// The solve of the field the particles followed.
+    pub gvf: GvfSummary,
+}
+
+/// The linear solve of a gradient vector flow, one value a component (x, y, z).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct GvfSummary {
+    /// Relative residual at the end.
+    pub residual: [f64; 3],
+    /// Iterations.
+    pub iterations: [usize; 3],
+}
+
+/// The wall over the cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Myocardium {
+    /// Mass in g: the mean volume times 1.05 g/ml. The mean over the cycle, not one gate's: myocardium keeps its volume, so every gate
+    /// measures the same quantity and the mean has the smaller error.
+    pub mass_g: f64,
+    /// Mean wall volume over the gates in ml.
+    pub mean_ml: f64,
+    /// Standard deviation of the wall's volume over the gates, as a percentage of its mean; null for one gate.
+    #[schema(required)]
+    pub variation_percent: Option<f64>,
+}
+
+/// Where the ventricle was looked for: given marks, and estimates for the rest.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RegionSummary {
+    /// Centre `[x, y]` in mm from the centre of the first voxel, along columns and rows.
+    pub centre_mm: [f64; 2],
+    /// Radius of the filtering circle in mm.
+    pub radius_mm: f64,
+    /// First useful slice, counted from 1.
+    pub first_slice: usize,
+    /// Last useful slice, counted from 1.
+    pub last_slice: usize,
+    /// Whether the base is at the last slice rather than at the first.
+    pub base_at_last_slice: bool,
+}
+
+/// What the computation can tell of its own result.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Quality {
+    /// 0-1: the mean, over gates and surfaces, of the fraction of particles within one voxel of the detected border. 1 says that every
+    /// surface reached its border. It does not say that the border is the heart's: judge that by the flags and by eye.
+    pub score: f64,
+    /// Stable codes; each has a sentence of the same code in `warnings`. `not_converged`: a surface has less than 95 % of its particles
+    /// within one voxel of its border. `myocardial_volume_not_conserved`: the wall's volume varies by more than 5 % over the cycle.
+    /// `surfaces_cross`: a cavity is not smaller than the volume inside the outer surface.
+    pub flags: Vec<String>,
+}
+
+/// One thing the reader should know.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Remark {
+    /// Stable `snake_case` code.
+    pub code: String,
+    /// One sentence.
+    pub message: String,
+    /// The gate it concerns, counted from 1; absent for the whole study.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gate: Option<usize>,
+}
+
+/// Wall-clock times, the only part of a report that differs between two runs.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct TimingReport {
+    /// Of the whole reconstruction, in ms.
+    pub total: f64,
+    /// Of each stage, summed over gates that may have run at the same time, in ms.
+    pub stages: BTreeMap<String, f64>,
+}
+
+/// Wall-clock times as whoever ran the pipeline measured them.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Of the whole reconstruction, in ms.
+    pub total_ms: f64,
+    /// By the name of the stage ([`crate::pipeline::monitor::Stage::name`]), summed over gates, in ms.
+    pub stages_ms: BTreeMap<String, f64>,
+}
+
+/// The report of a reconstruction; `id` is the reconstruction's.
+pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
+    let gates: Vec<GateReport> = reconstruction.gates.iter().enumerate().map(|(index, gate)| gate_report(index + 1, gate)).collect();
+    let myocardium = myocardium(&gates);
+    let (quality, flagged) = assess(&gates, &myocardium, &QUALITY_LIMITS);
+    Report {
+        schema: SCHEMA.to_owned(),
+        id: id.to_owned(),
+        software: Software { name: env!("CARGO_PKG_NAME").to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
+        study: study_summary(study),
+        function: function(&gates),
+        myocardium,
+        region: reconstruction.region.into(),
+        quality,
+        parameters: reconstruction.parameters.clone(),
+        warnings: study.warnings.iter().chain(&reconstruction.warnings).chain(&flagged).map(Remark::from).collect(),
+        timing_ms: TimingReport { total: timing.total_ms, stages: timing.stages_ms.clone() },
+        gates,
+    }
+}
+
+fn study_summary(study: &Study) -> StudySummary {
+    let said = &study.acquisition;
+    StudySummary {
+        study_instance_uid: said.study_instance_uid.clone(),
+        series_instance_uid: said.series_instance_uid.clone(),
+        sop_instance_uids: said.sop_instance_uids.clone(),
+        format: said.format,
+        gates: study.gates.len(),
+        grid: GridSummary { shape: study.grid.shape, spacing_mm: study.grid.spacing_mm },
+        rr_interval_ms: said.rr_interval_ms,
+        heart_rate_bpm: said.heart_rate_bpm,
+    }
+}
+
+fn gate_report(number: usize, gate: &GateReconstruction) -> GateReport {
+    GateReport {
+        gate: number,
+        endocardial_ml: gate.volume_ml(Surface::Endocardial),
+        epicardial_ml: gate.volume_ml(Surface::Epicardial),
+        myocardial_ml: gate.myocardial_ml(),
+        fit: SurfaceFits { endocardial: (&gate.fits.endocardial).into(), epicardial: (&gate.fits.epicardial).into() },
+    }
+}
+
+/// EDV, ESV and what follows from them; `None` for fewer than two gates, or when no cavity has a volume.
+fn function(gates: &[GateReport]) -> Option<Function> {
+    let (first, others) = gates.split_first()?;
+    if others.is_empty() {
+        return None;
+    }
+    let (mut diastole, mut systole) = (first, first);
+    for gate in others {
+        if gate.endocardial_ml > diastole.endocardial_ml {
+            diastole = gate;
+        }
+        if gate.endocardial_ml < systole.endocardial_ml {
+            systole = gate;
+        }
+    }
+    let (edv_ml, esv_ml) = (diastole.endocardial_ml, systole.endocardial_ml);
+    (edv_ml > 0.0).then(|| Function {
+        edv_ml,
+        esv_ml,
+        sv_ml: edv_ml - esv_ml,
+        ef_percent: 100.0 * (edv_ml - esv_ml) / edv_ml,
+        end_diastolic_gate: diastole.gate,
+        end_systolic_gate: systole.gate,
+    })
+}
+
+fn myocardium(gates: &[GateReport]) -> Myocardium {
+    let count = gates.len().max(1) as f64;
+    let mean_ml = gates.iter().map(|gate| gate.myocardial_ml).sum::<f64>() / count;
+    let variance = gates.iter().map(|gate| (gate.myocardial_ml - mean_ml).powi(2)).sum::<f64>() / count;
+    let variation_percent = (gates.len() > 1 && mean_ml > 0.0).then(|| 100.0 * variance.sqrt() / mean_ml);
+    Myocardium { mass_g: MYOCARDIAL_DENSITY_G_PER_ML * mean_ml, mean_ml, variation_percent }
+}
+
+/// The score, the flags and, for each flag, sentences that say what and where.
+fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits) -> (Quality, Vec<Warning>) {
+    let mut warnings = Vec::new();
+    let mut converged = Vec::new();
+    for gate in gates {
+        for (surface, fit) in [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)] {
+            let within = fit.within_one_voxel_percent / 100.0;
+            converged.push(within);
+            if within < limits.within_one_voxel {
+                let (name, percent) = (surface.name(), fit.within_one_voxel_percent);
+                let text = format!("The {name} surface has {percent:.0} % of its particles within one voxel of the detected border.");
+                warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
+            }
+        }
+        if gate.myocardial_ml <= 0.0 {
+            let text = format!(
+                "The cavity ({:.1} ml) is not smaller than the volume inside the outer surface ({:.1} ml).",
+                gate.endocardial_ml, gate.epicardial_ml
+            );
+            warnings.push(Warning::at_gate(gate.gate, "surfaces_cross", text));
+        }
+    }
+    if let Some(percent) = myocardium.variation_percent.filter(|&percent| percent > limits.wall_variation_percent) {
+        let text =
+            format!("The wall's volume varies by {percent:.1} % over the cycle; myocardium keeps its volume, so at least one gate is off.");
+        warnings.push(Warning::new("myocardial_volume_not_conserved", text));
+    }
+    let mut flags: Vec<String> = Vec::new();
+    for warning in &warnings {
+        if !flags.contains(&warning.code) {
+            flags.push(warning.code.clone());
+        }
+    }
+    let score = converged.iter().sum::<f64>() / converged.len().max(1) as f64;
+    (Quality { score, flags }, warnings)
+}
+
+impl From<&Fit> for FitSummary {
+    fn from(fit: &Fit) -> Self {
+        Self {
+            within_one_voxel_percent: 100.0 * fit.within_one_voxel,
+            mean_distance_mm: fit.mean_distance_mm,
+            steps: fit.steps,
+            frozen_percent: 100.0 * fit.frozen,
+            gvf: GvfSummary { residual: fit.gvf_residual, iterations: fit.gvf_iterations },
+        }
+    }
+}
+
+impl From<Region> for RegionSummary {
+    fn from(region: Region) -> Self {
+        let Region { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice } = region;
+        Self { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice }
+    }
+}
+
+impl From<&Warning> for Remark {
+    fn from(warning: &Warning) -> Self {
+        Self { code: warning.code.clone(), message: warning.message.clone(), gate: warning.gate }
+    }
+}
