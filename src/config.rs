@@ -1,1 +1,237 @@
-//! (to be written)
+//! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
+
+use clap::{Args, Parser, ValueEnum};
+use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
+
+/// Settings of `ventricle serve`.
+#[derive(Debug, Clone, Args)]
+pub struct ServeSettings {
+    /// Address and port to listen on; port 0 takes a free one and prints it.
+    #[arg(long, env = "VENTRICLE_LISTEN", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+
+    /// Confirms that whatever stands before the service (a reverse proxy, a service mesh, a closed container network) encrypts and
+    /// authenticates: needed to listen on anything but a loopback address.
+    #[arg(long, env = "VENTRICLE_BEHIND_AUTHENTICATING_PROXY")]
+    pub behind_authenticating_proxy: bool,
+
+    /// Directory of the embedded database. Made if absent.
+    #[arg(long, env = "VENTRICLE_DATA_DIR", default_value = "./data")]
+    pub data_dir: PathBuf,
+
+    /// PostgreSQL to use instead of the embedded database, when several nodes share the work: `postgres://user:password@host/database`.
+    #[arg(long, env = "VENTRICLE_DATABASE_URL", hide_env_values = true)]
+    pub database_url: Option<String>,
+
+    /// Jobs worked on at once.
+    #[arg(long, env = "VENTRICLE_WORKERS", default_value = "1")]
+    pub workers: NonZeroUsize,
+
+    /// Threads of each worker [default: the processors divided by the workers].
+    #[arg(long, env = "VENTRICLE_THREADS_PER_WORKER")]
+    pub threads_per_worker: Option<NonZeroUsize>,
+
+    /// Largest request body in MiB; a larger one is answered 413.
+    #[arg(long, env = "VENTRICLE_MAX_BODY_MB", default_value = "64", value_parser = clap::value_parser!(u64).range(1..=2048))]
+    pub max_body_mb: u64,
+
+    /// Jobs that may wait; more are answered 503 with `Retry-After`.
+    #[arg(long, env = "VENTRICLE_MAX_QUEUED_JOBS", default_value = "100", value_parser = clap::value_parser!(u64).range(1..))]
+    pub max_queued_jobs: u64,
+
+    /// MiB of input that may wait or be on its way; more is answered 503 with `Retry-After`.
+    #[arg(long, env = "VENTRICLE_MAX_QUEUED_MB", default_value = "1024", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
+    pub max_queued_mb: u64,
+
+    /// MiB that must be free in the data directory for the service to call itself ready.
+    #[arg(long, env = "VENTRICLE_MIN_FREE_DISK_MB", default_value = "256")]
+    pub min_free_disk_mb: u64,
+
+    /// Keeps the (already anonymous) input of finished jobs instead of deleting it.
+    #[arg(long, env = "VENTRICLE_KEEP_INPUT")]
+    pub keep_input: bool,
+
+    /// Seconds a request body may take to arrive; then 408.
+    #[arg(long, env = "VENTRICLE_UPLOAD_SECONDS", default_value = "120", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub upload_seconds: u64,
+
+    /// Seconds that running jobs get to finish after SIGTERM or SIGINT; what is not finished then continues at the next start.
+    #[arg(long, env = "VENTRICLE_DRAIN_SECONDS", default_value = "25", value_parser = clap::value_parser!(u64).range(0..=3600))]
+    pub drain_seconds: u64,
+
+    /// Origins of web pages that may call the service (CORS), separated by commas, or `*` for any. None by default.
+    #[arg(long, env = "VENTRICLE_CORS_ORIGIN", value_delimiter = ',')]
+    pub cors_origin: Vec<String>,
+
+    /// Form of the log on standard error.
+    #[arg(long, env = "VENTRICLE_LOG_FORMAT", value_enum, default_value = "text")]
+    pub log_format: LogFormat,
+
+    /// What is logged: a level, or directives as `info,ventricle::jobs=debug`.
+    #[arg(long, env = "VENTRICLE_LOG", default_value = "info")]
+    pub log: String,
+}
+
+/// Form of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// Which web pages may call the service.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Cors {
+    /// None but its own.
+    Off,
+    /// Any.
+    Any,
+    /// Those of these origins.
+    Origins(Vec<String>),
+}
+
+/// Why the service does not start with the settings given.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// The service would be reachable from outside without anything that asks who calls.
+    #[error(
+        "{listen} is not a loopback address, and the service itself neither encrypts nor authenticates: whoever reaches it could read every \
+         result. Listen on 127.0.0.1, or put a proxy that terminates TLS and authenticates before it and say so with \
+         --behind-authenticating-proxy (VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true)."
+    )]
+    Exposed {
+        /// The address asked for.
+        listen: SocketAddr,
+    },
+    /// A CORS origin that no browser sends.
+    #[error("`{origin}` is not an origin: write scheme, host and, if needed, port, as https://viewer.example.org, or * alone for any.")]
+    NotAnOrigin {
+        /// What was given.
+        origin: String,
+    },
+    /// A database address of another kind.
+    #[error("The database URL does not begin with postgres:// or postgresql://. Leave it out for the embedded database.")]
+    NotPostgres,
+    /// No single request could ever be accepted.
+    #[error("A body may have {body} MiB but all that waits only {queued} MiB: give at least as much to --max-queued-mb.")]
+    QueueSmallerThanBody {
+        /// Largest body in MiB.
+        body: u64,
+        /// Largest queue in MiB.
+        queued: u64,
+    },
+    /// Log directives that cannot be read.
+    #[error("`{directives}` does not say what to log: {why}.")]
+    LogDirectives {
+        /// What was given.
+        directives: String,
+        /// What is wrong with it.
+        why: String,
+    },
+}
+
+impl ServeSettings {
+    /// Settings from flags alone, as `ventricle serve` would read them; for tests and for a service inside another command. The
+    /// environment fills in what the flags leave out.
+    pub fn from_flags<'a>(flags: impl IntoIterator<Item = &'a str>) -> Result<Self, clap::Error> {
+        #[derive(Parser)]
+        struct Line {
+            #[command(flatten)]
+            settings: ServeSettings,
+        }
+        Line::try_parse_from(std::iter::once("serve").chain(flags)).map(|line| line.settings)
+    }
+
+    /// Checks what no single setting can say.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        if !self.listen.ip().is_loopback() && !self.behind_authenticating_proxy {
+            return Err(ConfigError::Exposed { listen: self.listen });
+        }
+        if let Some(origin) = self.cors_origin.iter().find(|origin| !is_origin(origin) && self.cors() != Cors::Any) {
+            return Err(ConfigError::NotAnOrigin { origin: origin.clone() });
+        }
+        if self.database_url.as_ref().is_some_and(|url| !url.starts_with("postgres://") && !url.starts_with("postgresql://")) {
+            return Err(ConfigError::NotPostgres);
+        }
+        if self.max_queued_mb < self.max_body_mb {
+            return Err(ConfigError::QueueSmallerThanBody { body: self.max_body_mb, queued: self.max_queued_mb });
+        }
+        Ok(())
+    }
+
+    /// Which web pages may call the service.
+    pub fn cors(&self) -> Cors {
+        match self.cors_origin.as_slice() {
+            [] => Cors::Off,
+            [any] if any == "*" => Cors::Any,
+            origins => Cors::Origins(origins.to_vec()),
+        }
+    }
+
+    /// Threads of each worker: what is asked for, else the processors shared evenly.
+    pub fn threads(&self) -> NonZeroUsize {
+        let processors = std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+        self.threads_per_worker.or(NonZeroUsize::new(processors.get() / self.workers)).unwrap_or(NonZeroUsize::MIN)
+    }
+
+    /// Largest body in bytes.
+    pub fn max_body_bytes(&self) -> u64 {
+        self.max_body_mb << 20
+    }
+
+    /// Time running jobs get to finish.
+    pub fn drain_time(&self) -> Duration {
+        Duration::from_secs(self.drain_seconds)
+    }
+}
+
+/// Whether a text is `scheme://host[:port]` and nothing else.
+fn is_origin(text: &str) -> bool {
+    let host = text.strip_prefix("https://").or(text.strip_prefix("http://"));
+    host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ', '@']))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(flags: &[&str]) -> ServeSettings {
+        ServeSettings::from_flags(flags.iter().copied()).unwrap()
+    }
+
+    #[test]
+    fn the_defaults_are_valid_and_local() {
+        let settings = settings(&[]);
+        settings.validate().unwrap();
+        assert!(settings.listen.ip().is_loopback());
+        assert_eq!(settings.cors(), Cors::Off);
+        assert_eq!(settings.max_body_bytes(), 64 << 20);
+    }
+
+    #[test]
+    fn an_open_address_needs_an_acknowledgement_and_the_refusal_says_which() {
+        let error = settings(&["--listen", "0.0.0.0:8080"]).validate().unwrap_err();
+        assert!(error.to_string().contains("--behind-authenticating-proxy"), "{error}");
+        settings(&["--listen", "[::]:8080", "--behind-authenticating-proxy"]).validate().unwrap();
+        settings(&["--listen", "[::1]:8080"]).validate().unwrap();
+    }
+
+    #[test]
+    fn origins_are_checked() {
+        assert_eq!(settings(&["--cors-origin", "*"]).cors(), Cors::Any);
+        settings(&["--cors-origin", "https://a.example,http://localhost:5173"]).validate().unwrap();
+        for wrong in ["a.example", "https://a.example/path", "*,https://a.example", "https://*"] {
+            assert!(matches!(settings(&["--cors-origin", wrong]).validate(), Err(ConfigError::NotAnOrigin { .. })), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn what_could_never_work_is_refused() {
+        assert_eq!(settings(&["--database-url", "mysql://x"]).validate(), Err(ConfigError::NotPostgres));
+        assert!(matches!(settings(&["--max-queued-mb", "32"]).validate(), Err(ConfigError::QueueSmallerThanBody { .. })));
+        assert!(ServeSettings::from_flags(["--workers", "0"]).is_err());
+        assert!(ServeSettings::from_flags(["--max-body-mb", "0"]).is_err());
+    }
+}

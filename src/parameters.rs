@@ -1,1 +1,372 @@
-//! (to be written)
+//! Parameters as a client writes them: every field optional, unknown ones refused by name, each with its default and range in the
+//! schema. The OpenAPI schema of [`Request`] is also what a request is checked against, so that contract and check cannot differ.
+
+mod check;
+mod describe;
+mod query;
+
+pub use describe::{Description, describe};
+pub use query::{from_query, merge};
+
+use crate::pipeline::parameters as chosen;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::ToSchema;
+
+/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = Parameters, example = json!({"preset": "paper", "mesh": {"level": 3}, "region": {"first_slice": 4, "last_slice": 19}}))]
+pub struct Request {
+    /// The named set the other values start from. `paper` is García and Susín's method as printed.
+    #[schema(inline, default = "paper")]
+    pub preset: Option<Preset>,
+    /// Where the left ventricle lies. Each mark that is left out is estimated from the counts.
+    #[schema(inline)]
+    pub region: Option<Region>,
+    /// Edge detection.
+    #[schema(inline)]
+    pub edges: Option<Edges>,
+    /// Gradient vector flow, the field that draws the meshes to the borders.
+    #[schema(inline)]
+    pub gvf: Option<Gvf>,
+    /// The meshes of both surfaces.
+    #[schema(inline)]
+    pub mesh: Option<Mesh>,
+    /// The deformable model and its evolution.
+    #[schema(inline)]
+    pub deform: Option<Deform>,
+}
+
+/// Named sets of values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// García and Susín's method as printed.
+    Paper,
+}
+
+/// The marks a user can give.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Region {
+    /// Centre of the ventricle, `[x, y]` in mm from the centre of the first voxel: x along a row, y down the columns.
+    #[schema(min_items = 2, max_items = 2)]
+    pub centre_mm: Option<[f64; 2]>,
+    /// Radius in mm of the circle outside of which counts are rejected.
+    #[schema(minimum = 10, maximum = 250)]
+    pub radius_mm: Option<f64>,
+    /// First slice of the ventricle, counted from 1.
+    #[schema(minimum = 1, maximum = 4096)]
+    pub first_slice: Option<usize>,
+    /// Last slice of the ventricle, counted from 1; not before `first_slice`.
+    #[schema(minimum = 1, maximum = 4096)]
+    pub last_slice: Option<usize>,
+}
+
+/// Edge detection.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Edges {
+    /// The operator: `canny` is smoothed gradient, non-maximum suppression and hysteresis.
+    #[schema(inline, default = "canny")]
+    pub operator: Option<EdgeOperator>,
+    /// Standard deviation of the Gaussian: in pixels for mode `slice`, in multiples of the pixel spacing for mode `volume`.
+    #[schema(minimum = 0.3, maximum = 8.0, default = 1.8)]
+    pub sigma: Option<f64>,
+    /// Low hysteresis threshold as a fraction of the largest gradient; below `high`.
+    #[schema(minimum = 0.0, maximum = 1.0, default = 0.3)]
+    pub low: Option<f64>,
+    /// High hysteresis threshold as a fraction of the largest gradient.
+    #[schema(minimum = 0.0, maximum = 1.0, default = 0.8)]
+    pub high: Option<f64>,
+    /// Edges slice by slice, or in the volume with distances in mm.
+    #[schema(inline, default = "slice")]
+    pub mode: Option<EdgeMode>,
+}
+
+/// Gradient operators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EdgeOperator {
+    /// Canny 1986.
+    Canny,
+}
+
+/// Two or three dimensions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EdgeMode {
+    /// Slice by slice.
+    Slice,
+    /// In the volume.
+    Volume,
+}
+
+/// Gradient vector flow.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Gvf {
+    /// Balance of diffusion against the edge map, for an edge map of grey levels 0-255.
+    #[schema(minimum = 0.01, maximum = 10_000.0, default = 10.0)]
+    pub mu: Option<f64>,
+    /// Relative residual at which the linear solve stops.
+    #[schema(minimum = 1e-10, maximum = 0.1, default = 1e-4)]
+    pub tolerance: Option<f64>,
+}
+
+/// The meshes.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mesh {
+    /// Subdivisions of the icosahedron: 2, 3 or 4 for 162, 642 or 2562 vertices a surface.
+    #[schema(minimum = 2, maximum = 4, default = 3)]
+    pub level: Option<u32>,
+}
+
+/// The deformable model.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Deform {
+    /// Internal forces: `free` has none and keeps the mesh whole by smoothing.
+    #[schema(inline, default = "free")]
+    pub model: Option<Model>,
+    /// Time integration: `rk4` is the classic fourth-order Runge-Kutta method.
+    #[schema(inline, default = "rk4")]
+    pub solver: Option<Solver>,
+    /// Time step in s.
+    #[schema(minimum = 0.001, maximum = 1.0, default = 0.1)]
+    pub time_step_s: Option<f64>,
+    /// Part of the velocity lost in a step, in percent.
+    #[schema(minimum = 0.0, maximum = 100.0, default = 1.0)]
+    pub damping_percent: Option<f64>,
+    /// Whether the mesh is smoothed while it moves and at its end.
+    #[schema(default = true)]
+    pub smoothing: Option<bool>,
+    /// Steps after which the evolution ends whatever still moves.
+    #[schema(minimum = 1, maximum = 20_000, default = 2000)]
+    pub max_steps: Option<usize>,
+}
+
+/// Internal forces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Model {
+    /// No internal force.
+    Free,
+}
+
+/// Time integration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Solver {
+    /// The classic fourth-order Runge-Kutta method.
+    Rk4,
+}
+
+/// One thing wrong with the parameters.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct Complaint {
+    /// Stable code: `unknown_parameter`, `invalid_parameter` or `unavailable_parameter`.
+    #[schema(value_type = String)]
+    pub code: &'static str,
+    /// JSON pointer to the field.
+    #[schema(example = "/edges/sigma")]
+    pub pointer: String,
+    /// What was received and what is allowed.
+    #[schema(example = "`edges.sigma` is 99; allowed is 0.3 to 8.")]
+    pub detail: String,
+}
+
+/// Why parameters were refused: everything that is wrong with them, never empty.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}", sentence(.complaints))]
+pub struct ParameterError {
+    /// What is wrong, in the order of the request.
+    pub complaints: Vec<Complaint>,
+}
+
+impl ParameterError {
+    /// The stable code of the first complaint.
+    pub fn code(&self) -> &'static str {
+        self.complaints.first().map_or("invalid_parameter", |complaint| complaint.code)
+    }
+
+    fn one(code: &'static str, pointer: &str, detail: impl Into<String>) -> Self {
+        Self { complaints: vec![Complaint { code, pointer: pointer.to_owned(), detail: detail.into() }] }
+    }
+}
+
+fn sentence(complaints: &[Complaint]) -> String {
+    complaints.iter().map(|complaint| complaint.detail.as_str()).collect::<Vec<_>>().join(" ")
+}
+
+/// Reads parameters from JSON: refuses unknown fields and values out of range, all at once and by name. `null` counts as left out.
+pub fn parse(value: &Value) -> Result<Request, ParameterError> {
+    let mut complaints = Vec::new();
+    check::check(value, &check::schema(), "", &mut complaints);
+    if !complaints.is_empty() {
+        return Err(ParameterError { complaints });
+    }
+    serde_json::from_value(value.clone()).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))
+}
+
+/// The parameters of the pipeline: the preset's values where the request is silent.
+pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
+    let written = serde_json::to_value(&request).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))?;
+    parse(&written)?;
+    let mut out = match request.preset.unwrap_or(Preset::Paper) {
+        Preset::Paper => chosen::Parameters::paper(),
+    };
+    let region = request.region.unwrap_or_default();
+    out.region = chosen::RegionMarks {
+        centre_mm: region.centre_mm,
+        radius_mm: region.radius_mm,
+        first_slice: region.first_slice,
+        last_slice: region.last_slice,
+    };
+    let edges = request.edges.unwrap_or_default();
+    out.edges.operator = edges.operator.map_or(out.edges.operator, |EdgeOperator::Canny| chosen::EdgeOperator::Canny);
+    out.edges.sigma = edges.sigma.unwrap_or(out.edges.sigma);
+    out.edges.low = edges.low.unwrap_or(out.edges.low);
+    out.edges.high = edges.high.unwrap_or(out.edges.high);
+    out.edges.mode = edges.mode.map_or(out.edges.mode, |mode| match mode {
+        EdgeMode::Slice => chosen::EdgeMode::Slice,
+        EdgeMode::Volume => chosen::EdgeMode::Volume,
+    });
+    let gvf = request.gvf.unwrap_or_default();
+    out.gvf.mu = gvf.mu.unwrap_or(out.gvf.mu);
+    out.gvf.tolerance = gvf.tolerance.unwrap_or(out.gvf.tolerance);
+    out.mesh.level = request.mesh.unwrap_or_default().level.unwrap_or(out.mesh.level);
+    let deform = request.deform.unwrap_or_default();
+    out.deform.model = deform.model.map_or(out.deform.model, |Model::Free| chosen::Model::Free);
+    out.deform.solver = deform.solver.map_or(out.deform.solver, |Solver::Rk4| chosen::Solver::Rk4);
+    out.deform.time_step_s = deform.time_step_s.unwrap_or(out.deform.time_step_s);
+    out.deform.damping_percent = deform.damping_percent.unwrap_or(out.deform.damping_percent);
+    out.deform.smoothing = deform.smoothing.unwrap_or(out.deform.smoothing);
+    out.deform.max_steps = deform.max_steps.unwrap_or(out.deform.max_steps);
+    consistent(&out)?;
+    Ok(out)
+}
+
+/// What no single field can say.
+fn consistent(parameters: &chosen::Parameters) -> Result<(), ParameterError> {
+    let edges = parameters.edges;
+    if edges.low >= edges.high {
+        let detail = format!("`edges.low` is {} and must lie below `edges.high`, which is {}.", edges.low, edges.high);
+        return Err(ParameterError::one("invalid_parameter", "/edges/low", detail));
+    }
+    if let (Some(first), Some(last)) = (parameters.region.first_slice, parameters.region.last_slice)
+        && first > last
+    {
+        let detail = format!("`region.first_slice` is {first} and must not lie after `region.last_slice`, which is {last}.");
+        return Err(ParameterError::one("invalid_parameter", "/region/first_slice", detail));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn refused(value: &Value) -> Vec<(&'static str, String)> {
+        let error = parse(value).and_then(resolve).unwrap_err();
+        error.complaints.into_iter().map(|complaint| (complaint.code, complaint.pointer)).collect()
+    }
+
+    #[test]
+    fn nothing_given_is_the_paper() {
+        assert_eq!(resolve(Request::default()).unwrap(), chosen::Parameters::paper());
+        assert_eq!(
+            parse(&json!({"preset": "paper", "region": null, "edges": {"sigma": null}})).and_then(resolve).unwrap(),
+            chosen::Parameters::paper()
+        );
+    }
+
+    #[test]
+    fn documented_defaults_are_the_values_used() {
+        let used = serde_json::to_value(chosen::Parameters::paper()).unwrap();
+        let described = describe();
+        assert!(described.len() >= 18, "{described:#?}");
+        for field in described {
+            assert!(!field.description.is_empty(), "{} has no description", field.pointer);
+            let value = used.pointer(&field.pointer).unwrap_or_else(|| panic!("{} is not a pipeline parameter", field.pointer));
+            match field.default {
+                None => assert!(value.is_null(), "{} has a default that is not documented", field.pointer),
+                Some(default) if default.is_number() => assert_eq!(default.as_f64(), value.as_f64(), "{}", field.pointer),
+                Some(default) => assert_eq!(&default, value, "{}", field.pointer),
+            }
+        }
+    }
+
+    #[test]
+    fn every_value_reaches_the_pipeline() {
+        let sent = json!({
+            "preset": "paper",
+            "region": {"centre_mm": [90.0, 95.5], "radius_mm": 60.0, "first_slice": 3, "last_slice": 20},
+            "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume"},
+            "gvf": {"mu": 5.0, "tolerance": 1e-5},
+            "mesh": {"level": 4},
+            "deform": {"model": "free", "solver": "rk4", "time_step_s": 0.05, "damping_percent": 2.0, "smoothing": false, "max_steps": 100},
+        });
+        assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
+    }
+
+    #[test]
+    fn wrong_fields_are_all_named_at_once() {
+        let sent = json!({"edges": {"sigma": 99, "colour": 1}, "mesh": {"level": 3.5}, "gvf": 7, "regoin": {}, "region": {"centre_mm": [1, 2, 3]}});
+        let mut got = refused(&sent);
+        got.sort();
+        assert_eq!(
+            got,
+            [
+                ("invalid_parameter", "/edges/sigma"),
+                ("invalid_parameter", "/gvf"),
+                ("invalid_parameter", "/mesh/level"),
+                ("invalid_parameter", "/region/centre_mm"),
+                ("unknown_parameter", "/edges/colour"),
+                ("unknown_parameter", "/regoin"),
+            ]
+            .map(|(code, pointer)| (code, pointer.to_owned()))
+        );
+    }
+
+    #[test]
+    fn a_refusal_names_field_value_and_range() {
+        assert_eq!(parse(&json!({"edges": {"sigma": 99}})).unwrap_err().to_string(), "`edges.sigma` is 99; allowed is 0.3 to 8.");
+        assert_eq!(parse(&json!({"mesh": {"level": "fine"}})).unwrap_err().to_string(), "`mesh.level` is \"fine\"; an integer is needed.");
+    }
+
+    #[test]
+    fn fields_belonging_together_are_compared() {
+        assert_eq!(refused(&json!({"edges": {"low": 0.9}})), [("invalid_parameter", "/edges/low".to_owned())]);
+        assert_eq!(
+            refused(&json!({"region": {"first_slice": 9, "last_slice": 3}})),
+            [("invalid_parameter", "/region/first_slice".to_owned())]
+        );
+    }
+
+    #[test]
+    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
+        for sent in [
+            json!({"preset": "clinical"}),
+            json!({"pose": {}}),
+            json!({"refine": {"enabled": true}}),
+            json!({"deform": {"model": "plane"}}),
+        ] {
+            assert_eq!(refused(&sent)[0].0, "unavailable_parameter", "{sent}");
+        }
+    }
+
+    #[test]
+    fn a_query_nests_by_dots() {
+        let pairs = [("preset", "paper"), ("mesh.level", "4"), ("edges.sigma", "1.5"), ("edges.mode", "volume")];
+        let pairs = pairs.map(|(key, value)| (key.to_owned(), value.to_owned()));
+        let mut base = json!({"edges": {"sigma": 2.0, "low": 0.1}});
+        merge(&mut base, from_query(&pairs).unwrap());
+        assert_eq!(base, json!({"preset": "paper", "mesh": {"level": 4}, "edges": {"sigma": 1.5, "low": 0.1, "mode": "volume"}}));
+        let twice = [("mesh.level".to_owned(), "4".to_owned()), ("mesh.level".to_owned(), "3".to_owned())];
+        assert_eq!(from_query(&twice).unwrap_err().code(), "invalid_parameter");
+    }
+}

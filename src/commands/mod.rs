@@ -1,8 +1,9 @@
-//! One file a subcommand.
+//! One file a subcommand, and the table two of them print.
 
-pub mod demo;
-pub mod healthcheck;
-pub mod openapi;
-pub mod phantom;
-pub mod reconstruct;
-pub mod serve;
+pub(crate) mod demo;
+pub(crate) mod healthcheck;
+pub(crate) mod openapi;
+pub(crate) mod phantom;
+pub(crate) mod reconstruct;
+pub(crate) mod serve;
+mod table;

@@ -1,10 +1,232 @@
-//! `ventricle reconstruct`.
+//! `ventricle reconstruct`: a file in, a report out, without a service.
+
+use super::table::table;
+use anyhow::Context as _;
+use rayon::ThreadPoolBuilder;
+use serde_json::Value;
+use std::{
+    collections::{BTreeMap, HashMap},
+    fs,
+    io::{IsTerminal as _, Write as _},
+    num::NonZeroUsize,
+    path::PathBuf,
+    sync::Mutex,
+    time::Instant,
+};
+use ventricle::{
+    export::glb,
+    intake::{self, Limits, Options, Part},
+    parameters,
+    pipeline::{
+        self,
+        monitor::{Monitor, Stage},
+    },
+    report::{self, Report, Timing},
+};
 
 /// Arguments of `ventricle reconstruct`.
 #[derive(clap::Args)]
-pub struct Args {}
+pub(crate) struct Args {
+    /// The study: one DICOM, NIfTI, NPY or JSON file, or several DICOM files of one study.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
 
-/// Runs it.
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("not built yet")
+    /// The named set of parameters to start from.
+    #[arg(long, value_name = "NAME")]
+    preset: Option<String>,
+
+    /// Parameters as JSON, or @FILE that holds them. They win over those of a JSON study.
+    #[arg(long, value_name = "JSON|@FILE")]
+    parameters: Option<String>,
+
+    /// One parameter by its path; may be repeated and wins over the rest: `--set region.radius_mm=60 --set region.centre_mm=[90,88]`.
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    settings: Vec<String>,
+
+    /// Distance between voxel centres along slices, rows and columns in mm; needed for NPY, which cannot say it.
+    #[arg(long, value_name = "Z,Y,X", value_parser = spacing)]
+    spacing_mm: Option<[f64; 3]>,
+
+    /// Where to write the report.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+
+    /// Where to write the animated surfaces.
+    #[arg(long, value_name = "FILE")]
+    glb: Option<PathBuf>,
+
+    /// Threads to use [default: one a processor].
+    #[arg(long)]
+    threads: Option<NonZeroUsize>,
+
+    /// Prints the report as JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Reads, reconstructs and reports.
+#[expect(clippy::needless_pass_by_value, reason = "every subcommand takes its arguments")]
+pub(crate) fn run(args: Args) -> anyhow::Result<()> {
+    let received = read(&args)?;
+    let chosen = parameters::resolve(parameters::parse(&requested(&args, received.parameters)?)?)?;
+    let study = received.study;
+    let pool = ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, NonZeroUsize::get)).build()?;
+    let watch = Watch::new();
+    let reconstruction = pool.install(|| pipeline::reconstruct(&study, &chosen, &watch));
+    let timing = watch.finish();
+    let reconstruction = reconstruction?;
+    let report = report::build("local", &study, &reconstruction, &timing);
+    if let Some(path) = &args.output {
+        fs::write(path, pretty(&report)?).with_context(|| format!("{} could not be written", path.display()))?;
+    }
+    if let Some(path) = &args.glb {
+        fs::write(path, glb::cycle(&study, &reconstruction)?).with_context(|| format!("{} could not be written", path.display()))?;
+    }
+    let shown = if args.json { pretty(&report)? } else { table(&report, None) };
+    std::io::stdout().write_all(shown.as_bytes())?;
+    Ok(())
+}
+
+fn pretty(report: &Report) -> serde_json::Result<String> {
+    serde_json::to_string_pretty(report).map(|text| text + "\n")
+}
+
+fn read(args: &Args) -> anyhow::Result<intake::Received> {
+    let contents = args
+        .files
+        .iter()
+        .map(|path| fs::read(path).with_context(|| format!("{} could not be read", path.display())))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let names: Vec<_> = args.files.iter().map(|path| path.file_name().map(|name| name.to_string_lossy().into_owned())).collect();
+    let parts: Vec<Part<'_>> =
+        contents.iter().zip(&names).map(|(bytes, name)| Part { media_type: None, filename: name.as_deref(), bytes }).collect();
+    Ok(intake::read(&parts, &Options { spacing_mm: args.spacing_mm }, &Limits::default())?)
+}
+
+/// Three positive numbers with commas between them.
+fn spacing(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok().filter(|mm| *mm > 0.0)).collect();
+    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| "three positive numbers are needed, as 5.74,2.87,2.87".to_owned())
+}
+
+/// What is asked for, the most particular last: the JSON study's own parameters, `--parameters`, `--preset`, `--set`.
+fn requested(args: &Args, of_study: Option<Value>) -> anyhow::Result<Value> {
+    let mut all = of_study.unwrap_or_else(|| Value::Object(serde_json::Map::new()));
+    if let Some(given) = &args.parameters {
+        let text = match given.strip_prefix('@') {
+            Some(path) => fs::read_to_string(path).with_context(|| format!("{path} could not be read"))?,
+            None => given.clone(),
+        };
+        parameters::merge(&mut all, serde_json::from_str(&text).context("--parameters is not JSON")?);
+    }
+    let preset = args.preset.iter().map(|name| ("preset".to_owned(), name.clone()));
+    let settings = args.settings.iter().map(|setting| {
+        let (path, value) = setting.split_once('=').with_context(|| format!("--set {setting} is not PATH=VALUE"))?;
+        Ok((path.to_owned(), value.to_owned()))
+    });
+    let pairs = preset.map(Ok).chain(settings).collect::<anyhow::Result<Vec<_>>>()?;
+    parameters::merge(&mut all, parameters::from_query(&pairs)?);
+    Ok(all)
+}
+
+/// Measures the stages and shows progress on a terminal.
+struct Watch {
+    started: Instant,
+    shows: bool,
+    state: Mutex<Watched>,
+}
+
+#[derive(Default)]
+struct Watched {
+    running: HashMap<(Stage, Option<usize>), Instant>,
+    stages_ms: BTreeMap<String, f64>,
+}
+
+impl Watch {
+    fn new() -> Self {
+        Self { started: Instant::now(), shows: std::io::stderr().is_terminal(), state: Mutex::default() }
+    }
+
+    fn finish(self) -> Timing {
+        if self.shows {
+            let _ = write!(std::io::stderr(), "\r\x1b[2K");
+        }
+        let state = self.state.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+        Timing { total_ms: 1e3 * self.started.elapsed().as_secs_f64(), stages_ms: state.stages_ms }
+    }
+}
+
+impl Monitor for Watch {
+    fn begin(&self, stage: Stage, gate: Option<usize>) {
+        if let Ok(mut state) = self.state.lock() {
+            state.running.insert((stage, gate), Instant::now());
+        }
+    }
+
+    fn end(&self, stage: Stage, gate: Option<usize>) {
+        if let Ok(mut state) = self.state.lock()
+            && let Some(began) = state.running.remove(&(stage, gate))
+        {
+            *state.stages_ms.entry(stage.name().to_owned()).or_default() += 1e3 * began.elapsed().as_secs_f64();
+        }
+    }
+
+    fn advance(&self, done: usize, total: usize) {
+        if self.shows {
+            let _ = write!(std::io::stderr(), "\r\x1b[2K  {} %", 100 * done / total.max(1));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn args(line: &[&str]) -> Args {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            args: Args,
+        }
+        <Line as clap::Parser>::try_parse_from(["reconstruct", "study.dcm"].iter().chain(line)).unwrap().args
+    }
+
+    #[test]
+    fn the_most_particular_parameter_wins() {
+        let of_study = json!({"mesh": {"level": 2}, "edges": {"sigma": 1.0}, "gvf": {"mu": 1.0}});
+        let args =
+            args(&["--parameters", r#"{"mesh": {"level": 3}, "edges": {"sigma": 2.0}}"#, "--set", "mesh.level=4", "--preset", "paper"]);
+        let all = requested(&args, Some(of_study)).unwrap();
+        assert_eq!(all, json!({"preset": "paper", "mesh": {"level": 4}, "edges": {"sigma": 2.0}, "gvf": {"mu": 1.0}}));
+    }
+
+    #[test]
+    fn marks_are_set_one_by_one() {
+        let all = requested(&args(&["--set", "region.centre_mm=[90,88.5]", "--set", "region.radius_mm=60"]), None).unwrap();
+        assert_eq!(all, json!({"region": {"centre_mm": [90, 88.5], "radius_mm": 60}}));
+        assert!(requested(&args(&["--set", "region"]), None).is_err());
+        assert!(requested(&args(&["--parameters", "{"]), None).is_err());
+    }
+
+    #[test]
+    fn spacing_is_three_positive_numbers() {
+        assert_eq!(spacing("5.74, 2.87,2.87"), Ok([5.74, 2.87, 2.87]));
+        for wrong in ["1,2", "1,2,3,4", "1,-2,3", "1,nan,3", "a,b,c", ""] {
+            assert!(spacing(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn stages_are_timed_and_summed_over_gates() {
+        let watch = Watch::new();
+        for gate in [None, Some(0), Some(1)] {
+            watch.begin(Stage::Edges, gate);
+            watch.end(Stage::Edges, gate);
+        }
+        watch.end(Stage::Borders, None);
+        let timing = watch.finish();
+        assert_eq!(timing.stages_ms.keys().collect::<Vec<_>>(), ["edges"]);
+        assert!(timing.stages_ms["edges"] >= 0.0 && timing.total_ms >= timing.stages_ms["edges"]);
+    }
 }

@@ -1,1 +1,182 @@
-//! (to be written)
+//! The HTTP service: routes, layers and what handlers share.
+//!
+//! A handler extracts, makes one domain call and shows the answer; errors of all layers become problem documents in [`problem`] and nowhere
+//! else. The OpenAPI document is made from the very routes that serve.
+
+#![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
+
+mod body;
+mod docs;
+mod events;
+mod extract;
+mod health;
+mod layers;
+mod negotiate;
+mod problem;
+mod reconstructions;
+mod results;
+mod service;
+mod views;
+
+pub use health::{Check, Checks};
+pub use problem::Problem;
+pub use service::{Running, ServeError, serve, start};
+pub use views::{JobListView, JobState, JobView, Links, ProgressView};
+
+use crate::{config::Cors, intake, jobs::Store, telemetry};
+use axum::{Router, http::StatusCode, middleware};
+use metrics_exporter_prometheus::PrometheusHandle;
+use std::{path::PathBuf, sync::Arc, time::Duration};
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tower_http::{catch_panic::CatchPanicLayer, timeout::TimeoutLayer};
+use utoipa::OpenApi as _;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+/// Studies parsed at once. One takes up to some 300 MB ([`intake::Limits`]); parsing is short beside reconstructing.
+const PARSED_AT_ONCE: usize = 2;
+/// Time an answer may take: the longest wait a client can ask for, and as much again as a loaded disk needs.
+const ANSWER_TIME: Duration = Duration::from_secs(45);
+
+/// What handlers share. Clones are cheap.
+#[derive(Clone)]
+pub struct AppState {
+    store: Store,
+    limits: Arc<intake::Limits>,
+    upload_time: Duration,
+    parsers: Arc<Semaphore>,
+    workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
+    disk: Option<Disk>,
+    cors: Cors,
+    draining: CancellationToken,
+    metrics: PrometheusHandle,
+    openapi: Arc<str>,
+}
+
+/// Room a directory must have.
+#[derive(Debug, Clone)]
+struct Disk {
+    directory: PathBuf,
+    bytes: u64,
+}
+
+impl AppState {
+    /// State over a store, with the default limits and nobody else to ask.
+    pub fn new(store: Store) -> Self {
+        Self {
+            store,
+            limits: Arc::default(),
+            upload_time: Duration::from_mins(2),
+            parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
+            workers_alive: Arc::new(|| true),
+            disk: None,
+            cors: Cors::Off,
+            draining: CancellationToken::new(),
+            metrics: telemetry::metrics(),
+            openapi: openapi_json().into(),
+        }
+    }
+
+    /// With another limit on the bytes of a body.
+    #[must_use]
+    pub fn with_body_limit(mut self, bytes: usize) -> Self {
+        self.limits = Arc::new(intake::Limits { body_bytes: bytes, ..intake::Limits::default() });
+        self
+    }
+
+    /// With another time for a body to arrive.
+    #[must_use]
+    pub fn with_upload_time(self, upload_time: Duration) -> Self {
+        Self { upload_time, ..self }
+    }
+
+    /// With someone who knows whether the workers run.
+    #[must_use]
+    pub fn with_workers(self, alive: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+        Self { workers_alive: Arc::new(alive), ..self }
+    }
+
+    /// With a directory that must have room.
+    #[must_use]
+    pub fn with_disk(self, directory: PathBuf, bytes: u64) -> Self {
+        Self { disk: Some(Disk { directory, bytes }), ..self }
+    }
+
+    /// With pages of other origins that may call.
+    #[must_use]
+    pub fn with_cors(self, cors: Cors) -> Self {
+        Self { cors, ..self }
+    }
+
+    /// Cancel it to refuse new work, end waiting answers and call the service not ready.
+    pub fn draining(&self) -> CancellationToken {
+        self.draining.clone()
+    }
+
+    fn accepts_work(&self) -> Result<(), Problem> {
+        if self.draining.is_cancelled() { Err(Problem::draining()) } else { Ok(()) }
+    }
+
+    /// Runs a parser on a thread that may take its time, no more than [`PARSED_AT_ONCE`] at once.
+    async fn parse<T: Send + 'static>(
+        &self,
+        parser: impl FnOnce(&intake::Limits) -> Result<T, Problem> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let limits = Arc::clone(&self.limits);
+        let permit = Arc::clone(&self.parsers).acquire_owned().await.map_err(|_| Problem::draining())?;
+        let parsed = tokio::task::spawn_blocking(move || {
+            let _permit = permit; // held to the end even if the client goes away
+            parser(&limits)
+        });
+        parsed.await.unwrap_or_else(|panic| {
+            tracing::error!(%panic, "a parser panicked");
+            Err(Problem::internal())
+        })
+    }
+}
+
+/// The routes of the contract, each with its documentation.
+fn routes() -> OpenApiRouter<AppState> {
+    let timeout = || TimeoutLayer::with_status_code(StatusCode::SERVICE_UNAVAILABLE, ANSWER_TIME);
+    let timely = OpenApiRouter::new()
+        .routes(routes!(reconstructions::list))
+        .routes(routes!(reconstructions::get, reconstructions::delete))
+        .routes(routes!(events::events))
+        .routes(routes!(results::report))
+        .routes(routes!(results::surfaces))
+        .routes(routes!(results::endocardial))
+        .routes(routes!(results::epicardial))
+        .routes(routes!(docs::list_parameters))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(health::metrics))
+        .routes(routes!(docs::openapi))
+        .layer(timeout());
+    // A submission has its own time for the body, and none for being parsed: its place is taken and its size known.
+    OpenApiRouter::with_openapi(docs::Contract::openapi()).routes(routes!(reconstructions::submit)).merge(timely)
+}
+
+/// The whole service as one router.
+pub fn router(state: AppState) -> Router {
+    let (contract, _) = routes().split_for_parts();
+    let router = contract
+        .merge(docs::reference())
+        .route("/", axum::routing::get(docs::root))
+        .layer(CatchPanicLayer::custom(layers::panicked))
+        .layer(middleware::from_fn(layers::observe));
+    let router = match layers::cors(&state.cors) {
+        Some(cors) => router.layer(cors),
+        None => router,
+    };
+    router.with_state(state)
+}
+
+/// The OpenAPI document of the routes.
+pub fn openapi_document() -> utoipa::openapi::OpenApi {
+    routes().into_openapi()
+}
+
+/// The OpenAPI document as text, as `openapi/openapi.json` has it.
+pub fn openapi_json() -> String {
+    openapi_document().to_pretty_json().unwrap_or_default() + "\n"
+}

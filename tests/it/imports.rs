@@ -1,1 +1,440 @@
-//! (to be written)
+//! Who may import whom, read from the sources. The table is the architecture: what a module cannot see it cannot come to depend on.
+//! `#[cfg(test)]` code is free; the binary (`main.rs`, `commands/`) may use everything.
+
+use std::{collections::BTreeSet, fmt, fs, path::Path};
+
+/// What one module of the library may use.
+struct Rule {
+    module: &'static str,
+    /// Modules of the crate.
+    crate_modules: &'static [&'static str],
+    /// External crates and parts of `std`.
+    external: External,
+}
+
+enum External {
+    /// These and `std` without [`OUTSIDE_WORLD`], nothing else.
+    Only(&'static [&'static str]),
+    /// Anything but the service's crates, these, and [`OUTSIDE_WORLD`].
+    NoServiceNor(&'static [&'static str]),
+    /// Anything but these.
+    AllBut(&'static [&'static str]),
+}
+
+const NUMERICS: &[&str] = &["volume", "mesh", "study", "phantom", "intake", "pipeline", "report", "export", "parameters"];
+
+const EVERYTHING: &[&str] =
+    &["volume", "mesh", "study", "phantom", "intake", "pipeline", "report", "export", "parameters", "jobs", "http", "config", "telemetry"];
+
+/// Files, environment, sockets, processes, clocks: what would make a pure function impure.
+const OUTSIDE_WORLD: &[&str] =
+    &["std::fs", "std::env", "std::net", "std::process", "std::time", "jiff::Timestamp::now", "jiff::Zoned::now"];
+
+/// Crates of the service, which nothing numeric touches.
+const SERVICE: &[&str] = &[
+    "anyhow",
+    "axum",
+    "clap",
+    "futures_util",
+    "metrics",
+    "metrics_exporter_prometheus",
+    "multer",
+    "sqlx",
+    "tokio",
+    "tokio_util",
+    "tower",
+    "tower_http",
+    "tracing_subscriber",
+    "ureq",
+    "utoipa_axum",
+    "utoipa_swagger_ui",
+];
+
+const RULES: &[Rule] = &[
+    Rule { module: "volume", crate_modules: &[], external: External::Only(&["ndarray", "glam", "serde"]) },
+    Rule { module: "mesh", crate_modules: &[], external: External::Only(&["ndarray", "glam", "serde"]) },
+    Rule { module: "study", crate_modules: &["volume"], external: External::Only(&["ndarray", "glam", "serde"]) },
+    Rule { module: "phantom", crate_modules: &["volume", "study"], external: External::NoServiceNor(&["utoipa"]) },
+    Rule { module: "intake", crate_modules: &["volume", "study"], external: External::NoServiceNor(&["utoipa", "rayon"]) },
+    Rule {
+        module: "pipeline",
+        crate_modules: &["volume", "mesh", "study"],
+        external: External::Only(&["ndarray", "glam", "serde", "rayon", "tracing", "thiserror"]),
+    },
+    Rule { module: "report", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&[]) },
+    Rule { module: "export", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&["utoipa"]) },
+    Rule { module: "parameters", crate_modules: &["pipeline"], external: External::NoServiceNor(&[]) },
+    Rule {
+        module: "jobs",
+        crate_modules: NUMERICS,
+        external: External::AllBut(&[
+            "axum",
+            "clap",
+            "multer",
+            "std::env",
+            "tower",
+            "tower_http",
+            "ureq",
+            "utoipa_axum",
+            "utoipa_swagger_ui",
+        ]),
+    },
+    Rule {
+        module: "http",
+        crate_modules: EVERYTHING,
+        external: External::AllBut(&["glam", "gltf_json", "ndarray", "nifti", "rayon", "sqlx", "std::env"]),
+    },
+    Rule { module: "config", crate_modules: &[], external: External::AllBut(&["axum", "sqlx", "tokio"]) },
+    Rule { module: "telemetry", crate_modules: &["config"], external: External::AllBut(&["axum", "sqlx", "std::env"]) },
+];
+
+const KEYWORDS: &[&str] = &["as", "dyn", "else", "for", "if", "impl", "in", "match", "mut", "move", "ref", "return", "use", "where"];
+
+/// A use that the table forbids.
+#[derive(Debug, PartialEq, Eq)]
+struct Violation {
+    module: String,
+    used: String,
+    line: usize,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "line {}: `{}` may not use `{}`", self.line, self.module, self.used)
+    }
+}
+
+#[test]
+fn every_module_imports_only_what_the_table_allows() {
+    let source = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/src"));
+    let externals = external_crates();
+    let (mut seen, mut broken) = (BTreeSet::new(), Vec::new());
+    for (path, module_path) in files(source, &[]) {
+        if module_path.is_empty() || matches!(module_path[0].as_str(), "main" | "commands") {
+            continue;
+        }
+        seen.insert(module_path[0].clone());
+        let text = fs::read_to_string(&path).unwrap();
+        let shown = path.strip_prefix(source).unwrap().display().to_string();
+        broken.extend(violations(&text, &module_path, &externals).iter().map(|violation| format!("src/{shown}, {violation}")));
+    }
+    assert!(broken.is_empty(), "\n{}", broken.join("\n"));
+    let ruled: BTreeSet<String> = RULES.iter().map(|rule| rule.module.to_owned()).collect();
+    assert_eq!(seen, ruled, "modules of src and rows of the table");
+}
+
+#[test]
+fn a_violating_source_is_caught() {
+    for (module, text, used) in [
+        ("volume", "use crate::study::Study;", "crate::study"),
+        ("mesh", "fn f() { crate::volume::sample_scalar(); }", "crate::volume"),
+        ("mesh", "use rayon::prelude::*;", "rayon"),
+        ("study", "use crate::{volume::Grid, pipeline::{Fit, Surface}};", "crate::pipeline"),
+        ("pipeline", "use super::jobs::Store;", "crate::jobs"),
+        ("pipeline", "use std::{sync::Arc, time::{Duration, Instant}};", "std::time"),
+        ("pipeline", "fn f() { let now = std::time::SystemTime::now(); }", "std::time"),
+        ("pipeline", "use std::fs::File;", "std::fs"),
+        ("pipeline", "use ::tokio as runtime;", "tokio"),
+        ("pipeline", "#[derive(utoipa::ToSchema)] struct P;", "utoipa"),
+        ("pipeline", "mod inner { use super::super::http; }", "crate::http"),
+        ("report", "fn f() { let _ = '\"'; axum::serve(); }", "axum"),
+        ("export", "use crate::jobs::{self, Store};", "crate::jobs"),
+        ("intake", "impl From<crate::http::Problem> for X {}", "crate::http"),
+        ("jobs", "use axum::Router;", "axum"),
+        ("jobs", "use crate::http::router;", "crate::http"),
+        ("http", "use ndarray::Array3;", "ndarray"),
+        ("telemetry", "use std::env;", "std::env"),
+    ] {
+        let found = violations(text, &[module.to_owned()], &external_crates());
+        let expected = Violation { module: module.to_owned(), used: used.to_owned(), line: 1 };
+        assert_eq!(found, [expected], "{module}: {text}");
+    }
+}
+
+#[test]
+fn comments_strings_tests_and_ones_own_module_are_no_violation() {
+    let text = r##"
+        //! See [`crate::http`]; tokio::spawn is not used here.
+        use super::study::Study; use crate::pipeline::gvf; use self::canny::edges; use std::sync::Arc;
+        /* crate::jobs /* nested */ std::fs */
+        const TEXT: &str = "crate::jobs::Store \" std::fs"; const RAW: &str = r#"use axum::Router; " "#;
+        fn f<'a>(x: &'a str) -> Vec<u8> { let c = '\''; let d = '"'; Vec::new() }
+        #[cfg(test)]
+        mod tests { use crate::phantom; fn g() { std::fs::read("x"); if true { } } }
+    "##;
+    assert_eq!(violations(text, &["pipeline".to_owned()], &external_crates()), []);
+}
+
+/// The crates of `[dependencies]`, as Rust names them, and `std`.
+fn external_crates() -> BTreeSet<String> {
+    let manifest = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml")).unwrap();
+    let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap();
+    let names = dependencies.lines().filter_map(|line| line.split_once(" = ")).map(|(name, _)| name.trim().replace('-', "_"));
+    let found: BTreeSet<String> = names.chain(["std".to_owned()]).collect();
+    assert!(found.contains("axum") && found.contains("dicom_object"), "{found:?}");
+    found
+}
+
+/// All Rust files below a folder with the module path of each; files that are modules only of tests are left out.
+fn files(folder: &Path, module: &[String]) -> Vec<(std::path::PathBuf, Vec<String>)> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let stem = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let below: Vec<String> = module.iter().cloned().chain([stem.clone()]).collect();
+        let declared_for_tests = ["mod.rs", "lib.rs"].iter().any(|parent| {
+            let parent = fs::read_to_string(folder.join(parent)).unwrap_or_default();
+            parent.split("#[cfg(test)]").skip(1).any(|after| after.trim_start().starts_with(&format!("mod {stem};")))
+        });
+        if declared_for_tests {
+            continue;
+        }
+        if path.is_dir() {
+            found.extend(files(&path, &below));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push((path, if matches!(stem.as_str(), "mod" | "lib") { module.to_vec() } else { below }));
+        }
+    }
+    found
+}
+
+fn violations(text: &str, module_path: &[String], externals: &BTreeSet<String>) -> Vec<Violation> {
+    let rule = RULES.iter().find(|rule| rule.module == module_path[0]).unwrap_or_else(|| panic!("no rule for {module_path:?}"));
+    let mut found: Vec<Violation> = Vec::new();
+    for (line, path) in paths(&tokens(text), module_path) {
+        let Some(used) = forbidden(rule, &path, externals) else { continue };
+        if !found.iter().any(|other| other.used == used && other.line == line) {
+            found.push(Violation { module: rule.module.to_owned(), used, line });
+        }
+    }
+    found
+}
+
+/// The part of a path that the rule forbids, if any.
+fn forbidden(rule: &Rule, path: &[String], externals: &BTreeSet<String>) -> Option<String> {
+    if path[0] == "crate" {
+        let module = path.get(1)?;
+        let known = RULES.iter().any(|other| other.module == *module);
+        let allowed = module == rule.module || rule.crate_modules.contains(&module.as_str());
+        return (known && !allowed).then(|| format!("crate::{module}"));
+    }
+    if !externals.contains(&path[0]) {
+        return None;
+    }
+    let whole = path.join("::");
+    let within =
+        |list: &[&str]| list.iter().find(|&&name| whole == name || whole.starts_with(&format!("{name}::"))).map(|&name| name.to_owned());
+    match rule.external {
+        External::Only(list) => {
+            within(OUTSIDE_WORLD).or_else(|| (path[0] != "std" && !list.contains(&path[0].as_str())).then(|| path[0].clone()))
+        }
+        External::NoServiceNor(list) => within(OUTSIDE_WORLD).or_else(|| within(SERVICE)).or_else(|| within(list)),
+        External::AllBut(list) => within(list),
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Token {
+    Name(String),
+    /// `::`
+    Colons,
+    /// Any other single character.
+    Sign(char),
+}
+
+/// Names and signs with their lines; comments, strings, characters and lifetimes are left out.
+fn tokens(text: &str) -> Vec<(usize, Token)> {
+    let characters: Vec<char> = text.chars().collect();
+    let at = |index: usize| characters.get(index).copied().unwrap_or('\0');
+    let is_name = |c: char| c.is_alphanumeric() || c == '_';
+    let (mut found, mut index, mut line) = (Vec::new(), 0, 1);
+    while index < characters.len() {
+        let start = index;
+        match at(index) {
+            '/' if at(index + 1) == '/' => {
+                while index < characters.len() && at(index) != '\n' {
+                    index += 1;
+                }
+            }
+            '/' if at(index + 1) == '*' => {
+                let mut depth = 0;
+                loop {
+                    match (at(index), at(index + 1)) {
+                        ('/', '*') => (depth, index) = (depth + 1, index + 2),
+                        ('*', '/') => (depth, index) = (depth - 1, index + 2),
+                        _ => index += 1,
+                    }
+                    if depth == 0 || index >= characters.len() {
+                        break;
+                    }
+                }
+            }
+            'r' if at(index + 1) == '"' || (at(index + 1) == '#' && matches!(at(index + 2), '"' | '#')) => {
+                let hashes = (index + 1..characters.len()).take_while(|&i| at(i) == '#').count();
+                index += hashes + 2;
+                while index < characters.len() && !(at(index) == '"' && (1..=hashes).all(|i| at(index + i) == '#')) {
+                    index += 1;
+                }
+                index += hashes + 1;
+            }
+            '"' => {
+                index += 1;
+                while index < characters.len() && at(index) != '"' {
+                    index += if at(index) == '\\' { 2 } else { 1 };
+                }
+                index += 1;
+            }
+            '\'' if at(index + 1) == '\\' => {
+                index += 3;
+                while index < characters.len() && at(index) != '\'' {
+                    index += 1;
+                }
+                index += 1;
+            }
+            '\'' if at(index + 2) == '\'' => index += 3,
+            '\'' => index += 1 + (index + 1..characters.len()).take_while(|&i| is_name(at(i))).count(),
+            c if is_name(c) => {
+                while is_name(at(index)) {
+                    index += 1;
+                }
+                found.push((line, Token::Name(characters[start..index].iter().collect())));
+            }
+            ':' if at(index + 1) == ':' => {
+                index += 2;
+                found.push((line, Token::Colons));
+            }
+            c => {
+                index += 1;
+                if !c.is_whitespace() {
+                    found.push((line, Token::Sign(c)));
+                }
+            }
+        }
+        line += characters[start..index.min(characters.len())].iter().filter(|&&c| c == '\n').count();
+    }
+    found
+}
+
+/// All paths outside `#[cfg(test)]`, groups in braces expanded, `self` and `super` resolved.
+fn paths(tokens: &[(usize, Token)], module_path: &[String]) -> Vec<(usize, Vec<String>)> {
+    let is = |index: usize, sign: char| tokens.get(index).is_some_and(|(_, token)| *token == Token::Sign(sign));
+    let name = |index: usize| match tokens.get(index) {
+        Some((_, Token::Name(name))) => Some(name.as_str()),
+        _ => None,
+    };
+    let mut found = Vec::new();
+    // One entry an open brace: the inline module it opens, if any.
+    let mut braces: Vec<Option<String>> = Vec::new();
+    let mut index = 0;
+    while index < tokens.len() {
+        let cfg_test = is(index, '#') && is(index + 1, '[') && name(index + 2) == Some("cfg") && name(index + 4) == Some("test");
+        if cfg_test {
+            index = end_of_item(tokens, index + 7);
+            continue;
+        }
+        if name(index) == Some("mod") && is(index + 2, '{') {
+            braces.push(name(index + 1).map(str::to_owned));
+            index += 3;
+            continue;
+        }
+        if is(index, '{') {
+            braces.push(None);
+        } else if is(index, '}') {
+            braces.pop();
+        }
+        // A keyword begins no path, also when one with leading colons follows.
+        let keyword = name(index).is_some_and(|name| KEYWORDS.contains(&name));
+        let begins = !keyword && (name(index).is_some() || tokens[index].1 == Token::Colons);
+        if !begins {
+            index += 1;
+            continue;
+        }
+        let line = tokens[index].0;
+        let mut collected = Vec::new();
+        let next = tree(tokens, index, &[], &mut collected);
+        let inner = braces.iter().flatten();
+        let here: Vec<String> = module_path.iter().chain(inner).cloned().collect();
+        let in_use = index > 0 && name(index - 1) == Some("use")
+            || index > 1 && name(index - 1) == Some("crate") && name(index - 2) == Some("extern");
+        for path in collected {
+            if path.len() > 1 || in_use {
+                found.push((line, resolve(path, &here)));
+            }
+        }
+        index = next.max(index + 1);
+    }
+    found
+}
+
+/// Reads one path, or a group of them, and returns where it ends.
+fn tree(tokens: &[(usize, Token)], mut index: usize, prefix: &[String], found: &mut Vec<Vec<String>>) -> usize {
+    let mut path = prefix.to_vec();
+    loop {
+        match tokens.get(index).map(|(_, token)| token) {
+            Some(Token::Colons) => index += 1,
+            Some(Token::Name(name)) => {
+                path.push(name.clone());
+                index += 1;
+                if tokens.get(index).map(|(_, token)| token) != Some(&Token::Colons) {
+                    break;
+                }
+            }
+            Some(Token::Sign('{')) if path.len() > prefix.len() || !prefix.is_empty() => {
+                index += 1;
+                while !matches!(tokens.get(index).map(|(_, token)| token), None | Some(Token::Sign('}'))) {
+                    let before = index;
+                    index = tree(tokens, index, &path, found);
+                    // Past `as name`, `*` and commas.
+                    while !matches!(tokens.get(index).map(|(_, token)| token), None | Some(Token::Sign(',' | '}'))) {
+                        index += 1;
+                    }
+                    if matches!(tokens.get(index).map(|(_, token)| token), Some(Token::Sign(','))) {
+                        index += 1;
+                    }
+                    if index == before {
+                        break;
+                    }
+                }
+                return index + 1;
+            }
+            _ => break,
+        }
+    }
+    if path.len() > prefix.len() {
+        found.push(path);
+    } else if !prefix.is_empty() {
+        found.push(prefix.to_vec());
+    }
+    index
+}
+
+/// A path with `self` and `super` taken from the module it stands in.
+fn resolve(path: Vec<String>, here: &[String]) -> Vec<String> {
+    let supers = path.iter().take_while(|segment| matches!(segment.as_str(), "super" | "self")).count();
+    if supers == 0 {
+        return path;
+    }
+    let up = path[..supers].iter().filter(|segment| *segment == "super").count();
+    let base = &here[..here.len().saturating_sub(up)];
+    std::iter::once("crate".to_owned()).chain(base.iter().cloned()).chain(path[supers..].iter().cloned()).collect()
+}
+
+/// The token after the item that begins here: behind its closing brace or its semicolon, whichever comes first.
+fn end_of_item(tokens: &[(usize, Token)], mut index: usize) -> usize {
+    let mut depth = 0;
+    while let Some((_, token)) = tokens.get(index) {
+        index += 1;
+        match token {
+            Token::Sign('{') => depth += 1,
+            Token::Sign('}') => {
+                depth -= 1;
+                if depth <= 0 {
+                    break;
+                }
+            }
+            Token::Sign(';') if depth == 0 => break,
+            _ => {}
+        }
+    }
+    index
+}

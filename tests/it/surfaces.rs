@@ -285,7 +285,9 @@ fn the_khronos_validator_finds_neither_errors_nor_warnings() {
         Ok(output) if output.status.code() != Some(2) => output,
         unavailable => {
             let why = unavailable.map_or_else(|error| error.to_string(), |output| String::from_utf8_lossy(&output.stderr).into_owned());
-            assert!(std::env::var_os("CI").is_none(), "the glTF validator must run: {why}");
+            #[expect(clippy::disallowed_methods, reason = "a test may ask whether it runs in CI")]
+            let in_ci = std::env::var_os("CI").is_some();
+            assert!(!in_ci, "the glTF validator must run: {why}");
             eprintln!("skipped: node or gltf-validator is absent ({})", why.trim());
             return;
         }

@@ -1,0 +1,87 @@
+//! The contract, its reference page, and what stands at the root.
+
+use super::{AppState, problem::Problem};
+use crate::parameters::{self, Description};
+use axum::{
+    Json, Router,
+    extract::State,
+    http::header,
+    response::{Html, IntoResponse},
+};
+use serde::Serialize;
+use utoipa::{OpenApi, ToSchema};
+use utoipa_swagger_ui::{Config, SwaggerUi};
+
+/// What stands before the routes in the contract.
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "Ventricle",
+        description = "Reconstructs the left ventricle from gated cardiac SPECT: both surfaces of its wall over the cycle, volumes and ejection \
+                       fraction.\n\nSubmit a study to `POST /v1/reconstructions`, follow the job at its `Location` (poll, long-poll or \
+                       server-sent events), then fetch its report and surfaces. JSON is snake_case with units in the names; times are \
+                       RFC 3339 in UTC. Every refusal is an RFC 9457 problem document with a stable `code`; every answer has an \
+                       `X-Request-Id`, the one sent or a new one.\n\nNothing that names the patient is stored or returned; DICOM UIDs are. \
+                       Research use: not a medical device.",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
+    ),
+    tags(
+        (name = "reconstructions", description = "Submit, follow, cancel, delete"),
+        (name = "results", description = "What a finished reconstruction gives"),
+        (name = "parameters", description = "How a reconstruction can be steered"),
+        (name = "operation", description = "Health, numbers and this document"),
+    ),
+    components(schemas(parameters::Request, Problem)),
+)]
+pub(super) struct Contract;
+
+/// All parameters.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct ParameterList {
+    /// What is used when nothing is given.
+    #[schema(value_type = parameters::Request)]
+    pub defaults: crate::pipeline::parameters::Parameters,
+    /// Every parameter: what it is, its default, its range.
+    pub parameters: Vec<Description>,
+}
+
+/// Lists the parameters with their defaults, ranges and meaning.
+#[utoipa::path(
+    get, path = "/v1/parameters", operation_id = "listParameters", tag = "parameters",
+    responses((status = 200, description = "All parameters", body = ParameterList)),
+)]
+pub(super) async fn list_parameters() -> Json<ParameterList> {
+    Json(ParameterList { defaults: crate::pipeline::parameters::Parameters::paper(), parameters: parameters::describe() })
+}
+
+/// Reads this document.
+#[utoipa::path(
+    get, path = "/openapi.json", operation_id = "openapi", tag = "operation",
+    responses((status = 200, description = "OpenAPI 3.1", body = Object)),
+)]
+pub(super) async fn openapi(State(state): State<AppState>) -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-cache")], state.openapi.to_string())
+}
+
+/// The reference page, with its assets from inside the program: it works without a network.
+pub(super) fn reference() -> Router<AppState> {
+    SwaggerUi::new("/docs").config(Config::from("/openapi.json").try_it_out_enabled(true).display_request_duration(true)).into()
+}
+
+/// What stands at the root until the viewer is built.
+pub(super) async fn root() -> Html<&'static str> {
+    Html(concat!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Ventricle</title>",
+        "<style>body{font:1.1rem/1.6 system-ui,sans-serif;max-width:40rem;margin:4rem auto;padding:0 1rem}</style>",
+        "<h1>Ventricle ",
+        env!("CARGO_PKG_VERSION"),
+        "</h1><p>Reconstructs the left ventricle from gated cardiac SPECT.</p><ul>",
+        "<li><a href=\"/docs/\">Reference of the HTTP interface</a>, to try out (<a href=\"/openapi.json\">as OpenAPI</a>)</li>",
+        "<li><a href=\"/v1/reconstructions\">Reconstructions</a>, newest first</li>",
+        "<li><a href=\"/v1/parameters\">Parameters</a> with defaults and ranges</li>",
+        "<li><a href=\"/readyz\">Readiness</a></li></ul>",
+        "<p>Send a study: <code>curl --data-binary @study.dcm -H 'Content-Type: application/dicom' \
+         http://localhost:8080/v1/reconstructions</code></p>",
+        "</html>",
+    ))
+}

@@ -1,0 +1,145 @@
+//! Whether the service lives, whether it can take work, and its numbers.
+
+use super::{AppState, problem::Problem};
+use axum::{
+    Json,
+    extract::State,
+    http::{StatusCode, header},
+    response::IntoResponse,
+};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// The service answers.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub(super) struct Alive {
+    /// Always `alive`.
+    #[schema(example = "alive")]
+    pub status: &'static str,
+    /// Version of the program.
+    pub version: &'static str,
+}
+
+/// Whether the service can take work.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub(super) struct Ready {
+    /// Always `ready`; a service that is not answers 503 with a problem.
+    #[schema(example = "ready")]
+    pub status: &'static str,
+    /// What was looked at.
+    pub checks: Checks,
+}
+
+/// What readiness rests on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Checks {
+    /// The database answers.
+    pub store: Check,
+    /// Workers run.
+    pub workers: Check,
+    /// There is room in the queue.
+    pub queue: Check,
+    /// There is room on the disk.
+    pub disk: Check,
+    /// The service is not stopping.
+    pub service: Check,
+}
+
+/// One thing readiness rests on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Check {
+    /// Whether it is as it should be.
+    pub ok: bool,
+    /// In words.
+    #[schema(example = "3 of 100 jobs and 12 of 1024 MiB are waiting")]
+    pub detail: String,
+}
+
+impl Check {
+    fn new(ok: bool, detail: impl Into<String>) -> Self {
+        Self { ok, detail: detail.into() }
+    }
+}
+
+impl Checks {
+    fn all(&self) -> [(&'static str, &Check); 5] {
+        [("store", &self.store), ("workers", &self.workers), ("queue", &self.queue), ("disk", &self.disk), ("service", &self.service)]
+    }
+}
+
+/// Tells that the service lives.
+///
+/// Looks at nothing: restart the service only when this fails.
+#[utoipa::path(get, path = "/healthz", operation_id = "healthz", tag = "operation", responses((status = 200, description = "It lives", body = Alive)))]
+pub(super) async fn healthz() -> Json<Alive> {
+    Json(Alive { status: "alive", version: env!("CARGO_PKG_VERSION") })
+}
+
+/// Tells whether the service can take work.
+#[utoipa::path(
+    get, path = "/readyz", operation_id = "readyz", tag = "operation",
+    responses(
+        (status = 200, description = "It can", body = Ready),
+        (status = 503, description = "It cannot; `checks` says why", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>, Problem> {
+    let checks = checks(&state).await;
+    let failing: Vec<_> =
+        checks.all().into_iter().filter(|(_, check)| !check.ok).map(|(name, check)| format!("{name}: {}", check.detail)).collect();
+    if failing.is_empty() {
+        return Ok(Json(Ready { status: "ready", checks }));
+    }
+    let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not_ready", format!("Not ready. {}.", failing.join("; ")));
+    Err(Problem { checks: Some(checks), retry_after_s: Some(5), ..problem })
+}
+
+async fn checks(state: &AppState) -> Checks {
+    let store = state.store.ping().await;
+    if let Err(error) = &store {
+        tracing::warn!(%error, "the store does not answer");
+    }
+    let queue = match state.store.counts().await {
+        Ok(counts) => {
+            let (jobs, mib) = (counts.queued + counts.reserved, counts.queued_bytes >> 20);
+            let detail =
+                format!("{jobs} of {} jobs and {mib} of {} MiB are waiting", counts.max_queued_jobs, counts.max_queued_bytes >> 20);
+            Check::new(jobs < counts.max_queued_jobs && counts.queued_bytes < counts.max_queued_bytes, detail)
+        }
+        Err(_) => Check::new(false, "cannot be counted"),
+    };
+    let workers = (state.workers_alive)();
+    let draining = state.draining.is_cancelled();
+    Checks {
+        store: Check::new(store.is_ok(), if store.is_ok() { "the database answers" } else { "the database does not answer" }),
+        workers: Check::new(workers, if workers { "all workers run" } else { "a worker has ended" }),
+        queue,
+        disk: disk(state).await,
+        service: Check::new(!draining, if draining { "is stopping" } else { "accepts work" }),
+    }
+}
+
+/// Room on the disk of the data directory.
+async fn disk(state: &AppState) -> Check {
+    let Some(needed) = state.disk.clone() else { return Check::new(true, "the database is elsewhere") };
+    let free = tokio::task::spawn_blocking(move || fs4::available_space(&needed.directory)).await;
+    match free {
+        Ok(Ok(free)) => Check::new(free >= needed.bytes, format!("{} MiB free, {} MiB needed", free >> 20, needed.bytes >> 20)),
+        _ => Check::new(false, "the data directory cannot be looked at"),
+    }
+}
+
+/// Numbers for Prometheus.
+#[utoipa::path(
+    get, path = "/metrics", operation_id = "metrics", tag = "operation",
+    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")),
+)]
+pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
+    if let Ok(counts) = state.store.counts().await {
+        metrics::gauge!("ventricle_jobs", "state" => "queued").set(counts.queued as f64);
+        metrics::gauge!("ventricle_jobs", "state" => "running").set(counts.running as f64);
+        metrics::gauge!("ventricle_oldest_queued_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
+    }
+    state.metrics.run_upkeep();
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render())
+}

@@ -1,0 +1,125 @@
+//! The results of a finished reconstruction. Each is stored as it is sent: nothing is computed here.
+
+use super::{
+    AppState,
+    extract::{Id, IdAndGate},
+    negotiate,
+    problem::Problem,
+};
+use crate::{jobs::Blob, report::Report};
+use axum::{
+    extract::State,
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use uuid::Uuid;
+
+/// Media type of a binary glTF file.
+const GLB: &str = "model/gltf-binary";
+
+/// Reads the report.
+///
+/// Volumes, ejection fraction, fits, quality and warnings. Never changes once it is there: keep it by its `ETag`.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/report", operation_id = "getReport", tag = "results",
+    params(
+        ("id" = String, Path, format = "uuid", description = "Id of the reconstruction"),
+        ("If-None-Match" = Option<String>, Header, description = "`ETag` of the copy at hand"),
+    ),
+    responses(
+        (status = 200, description = "The report", body = Report, headers(("ETag" = String, description = "SHA-256 of the body"))),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "`not_finished`, `reconstruction_failed` (with the job's problem in `cause`) or `reconstruction_cancelled`",
+         body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn report(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+    result(&state, id, &headers, "application/json", "report").await
+}
+
+/// Reads both surfaces over the whole cycle.
+///
+/// Binary glTF in metres, +Y up: nodes `endocardial` and `epicardial`, a morph target a gate and a looping animation over the R-R interval.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/surfaces.glb", operation_id = "getSurfaces", tag = "results",
+    params(("id" = String, Path, format = "uuid", description = "Id of the reconstruction")),
+    responses(
+        (status = 200, description = "Animated binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn surfaces(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+    result(&state, id, &headers, GLB, "surfaces.glb").await
+}
+
+/// Reads the inner surface of one gate.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/gates/{gate}/endocardial.glb", operation_id = "getEndocardialSurface", tag = "results",
+    params(
+        ("id" = String, Path, format = "uuid", description = "Id of the reconstruction"),
+        ("gate" = u32, Path, minimum = 1, description = "Gate, counted from 1"),
+    ),
+    responses(
+        (status = 200, description = "Binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction or gate", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn endocardial(
+    State(state): State<AppState>,
+    IdAndGate(id, gate): IdAndGate,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    result(&state, id, &headers, GLB, &format!("gates/{gate}/endocardial.glb")).await
+}
+
+/// Reads the outer surface of one gate.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/gates/{gate}/epicardial.glb", operation_id = "getEpicardialSurface", tag = "results",
+    params(
+        ("id" = String, Path, format = "uuid", description = "Id of the reconstruction"),
+        ("gate" = u32, Path, minimum = 1, description = "Gate, counted from 1"),
+    ),
+    responses(
+        (status = 200, description = "Binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction or gate", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn epicardial(
+    State(state): State<AppState>,
+    IdAndGate(id, gate): IdAndGate,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    result(&state, id, &headers, GLB, &format!("gates/{gate}/epicardial.glb")).await
+}
+
+/// One stored result, or why there is none.
+async fn result(state: &AppState, id: Uuid, headers: &HeaderMap, media_type: &'static str, name: &str) -> Result<Response, Problem> {
+    negotiate::acceptable(headers, media_type)?;
+    if let Some(blob) = state.store.blob(id, name).await? {
+        return Ok(send(headers, blob));
+    }
+    let job = state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
+    Err(Problem::no_result(&job, name))
+}
+
+/// A blob, or 304 where the client has it. Caches may keep it but must ask again, since it can be deleted.
+fn send(headers: &HeaderMap, blob: Blob) -> Response {
+    let etag = format!("\"{}\"", blob.sha256);
+    let unchanged = negotiate::none_match(headers, &etag);
+    let head = [(header::ETAG, etag), (header::CACHE_CONTROL, "private, no-cache".to_owned())];
+    if unchanged {
+        return (StatusCode::NOT_MODIFIED, head).into_response();
+    }
+    (head, [(header::CONTENT_TYPE, blob.media_type)], blob.data).into_response()
+}

@@ -1,0 +1,143 @@
+//! The running service: store, workers and listener, started together and stopped in order.
+
+use super::{AppState, router};
+use crate::{
+    config::{ConfigError, ServeSettings},
+    jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
+};
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use tokio::{
+    net::TcpListener,
+    signal::unix::{SignalKind, signal},
+    task::JoinHandle,
+};
+use tokio_util::sync::CancellationToken;
+
+/// Time that answers under way get once no worker runs any more.
+const LAST_ANSWERS: Duration = Duration::from_secs(5);
+
+/// Why the service did not start or ended.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Settings that cannot be.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The store did not open.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The address is taken or not ours.
+    #[error("Cannot listen on {address}: {source}.")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        source: io::Error,
+    },
+    /// Threads or signals could not be had from the system.
+    #[error("The system refused what the service needs: {0}.")]
+    System(#[from] io::Error),
+}
+
+/// A running service.
+pub struct Running {
+    address: SocketAddr,
+    draining: CancellationToken,
+    closing: CancellationToken,
+    listener: JoinHandle<io::Result<()>>,
+    workers: Arc<Workers>,
+    store: Store,
+    drain_time: Duration,
+}
+
+impl Running {
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Stops it in order: refuses new work and ends waiting answers, lets workers finish or give back what they have, closes the listener and
+    /// the store.
+    pub async fn stop(self) -> Result<(), ServeError> {
+        self.draining.cancel();
+        let drained = self.workers.drain(self.drain_time).await;
+        if drained.given_back > 0 {
+            tracing::info!(jobs = drained.given_back, "given back unfinished; they continue at the next start");
+        }
+        self.closing.cancel();
+        let abort = self.listener.abort_handle();
+        match tokio::time::timeout(LAST_ANSWERS, self.listener).await {
+            Ok(ended) => ended.map_err(io::Error::other)??,
+            Err(_) => abort.abort(),
+        }
+        self.store.close().await;
+        Ok(())
+    }
+}
+
+/// Starts the service on the current runtime.
+pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<Running, ServeError> {
+    settings.validate()?;
+    // The address first: with a wrong one nothing else should have begun.
+    let listener = TcpListener::bind(settings.listen).await.map_err(|source| ServeError::Listen { address: settings.listen, source })?;
+    let address = listener.local_addr()?;
+    let store = Store::open(store_settings(settings)).await?;
+    let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
+    let state = state(settings, &store, &workers);
+    let (draining, closing) = (state.draining(), CancellationToken::new());
+    let closed = closing.clone().cancelled_owned();
+    let server = axum::serve(listener, router(state)).with_graceful_shutdown(closed);
+    let listener = tokio::spawn(async move { server.await });
+    Ok(Running { address, draining, closing, listener, workers, store, drain_time: settings.drain_time() })
+}
+
+/// Runs the service until SIGTERM or SIGINT, then stops it in order.
+pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
+    // Before the first job: a signal during the start must not end the process half way.
+    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let running = start(&settings, worker_settings(&settings)).await?;
+    println!("ventricle {} listens on http://{}", env!("CARGO_PKG_VERSION"), running.address());
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = interrupt.recv() => {}
+    }
+    tracing::info!(seconds = settings.drain_seconds, "stopping; running jobs may finish within the drain time");
+    let stopping = running.stop();
+    tokio::select! {
+        stopped = stopping => stopped,
+        // Asked again: the store is safe at any moment, so there is nothing to wait for.
+        _ = terminate.recv() => Ok(()),
+        _ = interrupt.recv() => Ok(()),
+    }
+}
+
+fn store_settings(settings: &ServeSettings) -> StoreSettings {
+    let backend = match &settings.database_url {
+        Some(url) => Backend::Postgres { url: url.clone() },
+        None => Backend::Sqlite { directory: settings.data_dir.clone() },
+    };
+    StoreSettings {
+        backend,
+        max_queued_jobs: settings.max_queued_jobs,
+        max_queued_bytes: settings.max_queued_mb << 20,
+        keep_input: settings.keep_input,
+        ..StoreSettings::default()
+    }
+}
+
+/// The workers a service with these settings has.
+fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
+    WorkerSettings { workers: settings.workers.get(), threads_per_worker: settings.threads().get(), ..WorkerSettings::default() }
+}
+
+fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> AppState {
+    let workers = Arc::clone(workers);
+    let state = AppState::new(store.clone())
+        .with_body_limit(settings.max_body_bytes() as usize)
+        .with_upload_time(Duration::from_secs(settings.upload_seconds))
+        .with_workers(move || workers.alive())
+        .with_cors(settings.cors());
+    if settings.database_url.is_some() {
+        return state;
+    }
+    state.with_disk(settings.data_dir.clone(), settings.min_free_disk_mb << 20)
+}

@@ -1,0 +1,224 @@
+//! What clients see of jobs.
+
+use super::problem::Problem;
+use crate::jobs::{Job, Page, State};
+use axum::{
+    Json,
+    http::{HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Seconds between two looks at a job that is not finished, when the queue says nothing better.
+const POLL_S: f64 = 1.0;
+/// Most seconds a client is told to wait before it looks again.
+const LONGEST_POLL_S: f64 = 30.0;
+
+/// A reconstruction and how far it is.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(as = Job, example = json!({
+    "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11", "state": "running",
+    "progress": {"fraction": 0.42, "stage": "gradient_vector_flow", "gates_done": 3, "gates_total": 8},
+    "queue_position": null, "eta_seconds": 1.8, "attempt": 1, "cancel_requested": false, "study_instance_uid": null,
+    "created_at": "2026-01-02T03:04:05Z", "started_at": "2026-01-02T03:04:06Z", "finished_at": null, "error": null,
+    "links": {
+        "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
+        "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
+        "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
+        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+    }
+}))]
+pub struct JobView {
+    /// UUID; ids of later jobs sort after those of earlier ones.
+    #[schema(format = "uuid")]
+    pub id: String,
+    /// Where the job is in its life; the last three states are final.
+    pub state: JobState,
+    /// How far it is.
+    pub progress: ProgressView,
+    /// Place in the queue, from 1; null when it is not waiting.
+    #[schema(required)]
+    pub queue_position: Option<u64>,
+    /// Estimated time to the end in s; null when finished or when nothing was measured yet.
+    #[schema(required)]
+    pub eta_seconds: Option<f64>,
+    /// How often a worker began the job: more than 1 after a crash or a restart.
+    pub attempt: u32,
+    /// Whether it was asked to stop.
+    pub cancel_requested: bool,
+    /// DICOM Study Instance UID of the input, if it has one.
+    #[schema(required)]
+    pub study_instance_uid: Option<String>,
+    /// When it was accepted, RFC 3339 in UTC.
+    #[schema(format = DateTime)]
+    pub created_at: String,
+    /// When the latest attempt began.
+    #[schema(required, format = DateTime)]
+    pub started_at: Option<String>,
+    /// When it reached its final state.
+    #[schema(required, format = DateTime)]
+    pub finished_at: Option<String>,
+    /// Why it failed; null unless `state` is `failed`.
+    #[schema(required)]
+    pub error: Option<Problem>,
+    /// Where everything about it is.
+    pub links: Links,
+}
+
+/// Where a job is in its life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum JobState {
+    /// Accepted, waiting for a worker.
+    Queued,
+    /// Being computed.
+    Running,
+    /// Finished with results.
+    Succeeded,
+    /// Finished without results.
+    Failed,
+    /// Stopped on request.
+    Cancelled,
+}
+
+impl From<State> for JobState {
+    fn from(state: State) -> Self {
+        match state {
+            State::Queued => Self::Queued,
+            State::Running => Self::Running,
+            State::Succeeded => Self::Succeeded,
+            State::Failed => Self::Failed,
+            State::Cancelled => Self::Cancelled,
+        }
+    }
+}
+
+impl From<JobState> for State {
+    fn from(state: JobState) -> Self {
+        match state {
+            JobState::Queued => Self::Queued,
+            JobState::Running => Self::Running,
+            JobState::Succeeded => Self::Succeeded,
+            JobState::Failed => Self::Failed,
+            JobState::Cancelled => Self::Cancelled,
+        }
+    }
+}
+
+/// How far a job is.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(as = Progress)]
+pub struct ProgressView {
+    /// Part of the work done, 0 to 1.
+    #[schema(minimum = 0, maximum = 1)]
+    pub fraction: f64,
+    /// What is being computed: `region`, `edges`, `borders`, `gradient_vector_flow`, `deformation` or `measurement`; null when not running.
+    #[schema(required)]
+    pub stage: Option<String>,
+    /// Gates finished.
+    pub gates_done: u64,
+    /// Gates of the study.
+    pub gates_total: u64,
+}
+
+/// Where everything about a job is, as paths on this server. `report` and `surfaces` answer 409 until the job has succeeded.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct Links {
+    /// The job itself.
+    #[serde(rename = "self")]
+    pub this: String,
+    /// Its progress as server-sent events.
+    pub events: String,
+    /// Its report.
+    pub report: String,
+    /// Its surfaces over the cycle as animated glTF.
+    pub surfaces: String,
+}
+
+/// Reconstructions, newest first.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(as = JobList)]
+pub struct JobListView {
+    /// The reconstructions of this page.
+    pub reconstructions: Vec<JobView>,
+    /// Give it as `cursor` to get the next page; null on the last.
+    #[schema(required)]
+    pub next_cursor: Option<String>,
+}
+
+impl From<&Job> for JobView {
+    fn from(job: &Job) -> Self {
+        let this = path(job);
+        Self {
+            id: job.id.to_string(),
+            state: job.state.into(),
+            progress: ProgressView {
+                fraction: job.progress,
+                stage: job.stage.clone(),
+                gates_done: job.gates_done,
+                gates_total: job.gates_total,
+            },
+            queue_position: job.queue_position,
+            eta_seconds: job.eta_seconds.map(|seconds| (seconds * 10.0).round() / 10.0),
+            attempt: job.attempt,
+            cancel_requested: job.cancel_requested,
+            study_instance_uid: job.study_instance_uid.clone(),
+            created_at: job.created_at.to_string(),
+            started_at: job.started_at.map(|time| time.to_string()),
+            finished_at: job.finished_at.map(|time| time.to_string()),
+            error: job.error.as_ref().map(Problem::from),
+            links: Links {
+                events: format!("{this}/events"),
+                report: format!("{this}/report"),
+                surfaces: format!("{this}/surfaces.glb"),
+                this,
+            },
+        }
+    }
+}
+
+impl From<&Page> for JobListView {
+    fn from(page: &Page) -> Self {
+        Self {
+            reconstructions: page.jobs.iter().map(JobView::from).collect(),
+            next_cursor: page.next_cursor.map(|cursor| cursor.to_string()),
+        }
+    }
+}
+
+/// The path of a job.
+pub(super) fn path(job: &Job) -> String {
+    format!("/v1/reconstructions/{}", job.id)
+}
+
+/// The entity tag of a job: its version and its place in the queue, which moves without the job changing. Weak, since the estimate of the
+/// time left is not in it.
+pub(super) fn etag(job: &Job) -> String {
+    match job.queue_position {
+        Some(position) => format!("W/\"{}-{position}\"", job.version),
+        None => format!("W/\"{}\"", job.version),
+    }
+}
+
+/// A job as a response, with its entity tag and, while it is not finished, when to look again.
+pub(super) fn job(status: StatusCode, job: &Job) -> Response {
+    with_job_headers((status, Json(JobView::from(job))).into_response(), job)
+}
+
+/// That the client's copy of a job is still right.
+pub(super) fn job_not_modified(job: &Job) -> Response {
+    with_job_headers(StatusCode::NOT_MODIFIED.into_response(), job)
+}
+
+fn with_job_headers(mut response: Response, job: &Job) -> Response {
+    let headers = response.headers_mut();
+    if let Ok(tag) = HeaderValue::from_str(&etag(job)) {
+        headers.insert(header::ETAG, tag);
+    }
+    if !job.state.is_final() {
+        let seconds = job.eta_seconds.unwrap_or(POLL_S).clamp(POLL_S, LONGEST_POLL_S).ceil();
+        headers.insert(header::RETRY_AFTER, HeaderValue::from(seconds as u64));
+    }
+    response
+}
