@@ -11,8 +11,10 @@
 pub mod anatomy;
 pub mod camera;
 pub mod cycle;
+pub mod dicom;
 mod erf;
 mod identity;
+pub mod nifti;
 mod noise;
 pub mod pose;
 pub mod shape;
@@ -144,6 +146,12 @@ pub enum PhantomError {
         /// The range.
         wanted: &'static str,
     },
+    /// DICOM requires the duration of gates, and the study has none.
+    #[error("the study is gated but says no gate duration, which DICOM requires; give its gates a duration")]
+    NoGateDuration,
+    /// The DICOM library refused.
+    #[error("the study could not be written as DICOM: {0}")]
+    Dicom(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
 /// Makes the study and its truth.
@@ -251,16 +259,13 @@ mod tests {
 
     #[test]
     #[ignore = "temporary"]
-    fn speed() {
+    fn files() {
         for (name, phantom) in [("paper", Phantom::paper()), ("demo", Phantom::demo())] {
-            let start = std::time::Instant::now();
             let simulation = simulate(&phantom).unwrap();
-            println!("{name} {:?} {:?}", start.elapsed(), simulation.truth);
-            let gate = &simulation.study.gates[0].volume;
-            println!("max {} total {}", gate.maximum(), gate.total());
-            for z in [2, 6, 12, 16, 20] {
-                println!("{z}: {:?}", (16..48).step_by(2).map(|x| gate.counts[[z, 32, x]].round()).collect::<Vec<_>>());
-            }
+            std::fs::write(format!("/tmp/ph-{name}.dcm"), dicom::write(&simulation.study).unwrap()).unwrap();
+            let mut s = simulation.study.clone();
+            s.orientation = None;
+            std::fs::write(format!("/tmp/ph-{name}-none.dcm"), dicom::write(&s).unwrap()).unwrap();
         }
     }
 }
