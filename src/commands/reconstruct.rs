@@ -44,8 +44,8 @@ pub(crate) struct Args {
     settings: Vec<String>,
 
     /// Distance between voxel centres along slices, rows and columns in mm; needed for NPY, which cannot say it.
-    #[arg(long, value_name = "Z,Y,X", value_delimiter = ',', num_args = 3)]
-    spacing_mm: Option<Vec<f64>>,
+    #[arg(long, value_name = "Z,Y,X", value_parser = spacing)]
+    spacing_mm: Option<[f64; 3]>,
 
     /// Where to write the report.
     #[arg(short, long, value_name = "FILE")]
@@ -100,8 +100,13 @@ fn read(args: &Args) -> anyhow::Result<intake::Received> {
     let names: Vec<_> = args.files.iter().map(|path| path.file_name().map(|name| name.to_string_lossy().into_owned())).collect();
     let parts: Vec<Part<'_>> =
         contents.iter().zip(&names).map(|(bytes, name)| Part { media_type: None, filename: name.as_deref(), bytes }).collect();
-    let spacing_mm = args.spacing_mm.as_deref().and_then(|spacing| <[f64; 3]>::try_from(spacing).ok());
-    Ok(intake::read(&parts, &Options { spacing_mm }, &Limits::default())?)
+    Ok(intake::read(&parts, &Options { spacing_mm: args.spacing_mm }, &Limits::default())?)
+}
+
+/// Three positive numbers with commas between them.
+fn spacing(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok().filter(|mm| *mm > 0.0)).collect();
+    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| "three positive numbers are needed, as 5.74,2.87,2.87".to_owned())
 }
 
 /// What is asked for, the most particular last: the JSON study's own parameters, `--parameters`, `--preset`, `--set`.
@@ -170,5 +175,58 @@ impl Monitor for Watch {
         if self.shows {
             let _ = write!(std::io::stderr(), "\r\x1b[2K  {} %", 100 * done / total.max(1));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn args(line: &[&str]) -> Args {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            args: Args,
+        }
+        <Line as clap::Parser>::try_parse_from(["reconstruct", "study.dcm"].iter().chain(line)).unwrap().args
+    }
+
+    #[test]
+    fn the_most_particular_parameter_wins() {
+        let of_study = json!({"mesh": {"level": 2}, "edges": {"sigma": 1.0}, "gvf": {"mu": 1.0}});
+        let args =
+            args(&["--parameters", r#"{"mesh": {"level": 3}, "edges": {"sigma": 2.0}}"#, "--set", "mesh.level=4", "--preset", "paper"]);
+        let all = requested(&args, Some(of_study)).unwrap();
+        assert_eq!(all, json!({"preset": "paper", "mesh": {"level": 4}, "edges": {"sigma": 2.0}, "gvf": {"mu": 1.0}}));
+    }
+
+    #[test]
+    fn marks_are_set_one_by_one() {
+        let all = requested(&args(&["--set", "region.centre_mm=[90,88.5]", "--set", "region.radius_mm=60"]), None).unwrap();
+        assert_eq!(all, json!({"region": {"centre_mm": [90, 88.5], "radius_mm": 60}}));
+        assert!(requested(&args(&["--set", "region"]), None).is_err());
+        assert!(requested(&args(&["--parameters", "{"]), None).is_err());
+    }
+
+    #[test]
+    fn spacing_is_three_positive_numbers() {
+        assert_eq!(spacing("5.74, 2.87,2.87"), Ok([5.74, 2.87, 2.87]));
+        for wrong in ["1,2", "1,2,3,4", "1,-2,3", "1,nan,3", "a,b,c", ""] {
+            assert!(spacing(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn stages_are_timed_and_summed_over_gates() {
+        let watch = Watch::new();
+        for gate in [None, Some(0), Some(1)] {
+            watch.begin(Stage::Edges, gate);
+            watch.end(Stage::Edges, gate);
+        }
+        watch.end(Stage::Borders, None);
+        let timing = watch.finish();
+        assert_eq!(timing.stages_ms.keys().collect::<Vec<_>>(), ["edges"]);
+        assert!(timing.stages_ms["edges"] >= 0.0 && timing.total_ms >= timing.stages_ms["edges"]);
     }
 }

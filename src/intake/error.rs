@@ -6,6 +6,16 @@ use super::prescan::ScanError;
 const ACCEPTED: &str =
     "send a reconstructed short-axis study: DICOM NM Image Storage with image type RECON GATED TOMO or RECON TOMO, NIfTI-1, NPY or JSON";
 
+/// A text from a file or a client, fit for a sentence: short, without control characters.
+pub(super) fn shown(text: &str) -> String {
+    const MOST_CHARACTERS: usize = 200;
+    let mut shown: String = text.chars().take(MOST_CHARACTERS).map(|c| if c.is_control() { '?' } else { c }).collect();
+    if text.chars().nth(MOST_CHARACTERS).is_some() {
+        shown.push('…');
+    }
+    shown
+}
+
 /// What kind of refusal an [`IntakeError`] is, for those who choose a status code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Nature {
@@ -233,6 +243,16 @@ impl IntakeError {
             Self::MalformedJson { .. } => "malformed_json",
             Self::UnreadableDataSet { .. } => "unreadable_data_set",
         }
+    }
+
+    /// A text from a file or a client, fit for a sentence: short, without control characters.
+    pub(super) fn shown(text: &str) -> String {
+        const MOST_CHARACTERS: usize = 200;
+        let mut shown: String = text.chars().take(MOST_CHARACTERS).map(|c| if c.is_control() { '?' } else { c }).collect();
+        if text.chars().nth(MOST_CHARACTERS).is_some() {
+            shown.push('…');
+        }
+        shown
     }
 
     /// What kind of refusal it is.

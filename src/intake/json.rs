@@ -1,5 +1,6 @@
 //! The JSON body of the HTTP contract: a grid, counts in base64, and parameters beside them.
 
+use super::error::shown;
 use super::{IntakeError, Limits, Received, counts};
 use crate::study::{Acquisition, Format, Study};
 use crate::volume::Grid;
@@ -50,7 +51,7 @@ enum Sample {
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Received, IntakeError> {
     let malformed = |reason: String| IntakeError::MalformedJson { reason };
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let syntax = |error: serde_json::Error| malformed(error.to_string());
+    let syntax = |error: serde_json::Error| malformed(shown(&error.to_string()));
     // Parameters become values only after it is known that they are small: a parsed value takes many times its text.
     let body: Body<'_, IgnoredAny> = serde_json::from_slice(bytes).map_err(syntax)?;
     let overhead = bytes.len().saturating_sub(body.counts.len());

@@ -62,6 +62,8 @@ pub struct Limits {
     pub json_overhead_bytes: usize,
     /// Parts of one request: one slice a file of the largest stack.
     pub parts: usize,
+    /// Bytes of the DICOM attributes that describe the images, all files together: 4 096 single slices take about 1 KiB each.
+    pub described_bytes: usize,
     /// Data elements of one DICOM object, at all depths.
     pub elements: usize,
     /// Depth of nested DICOM sequences. Structured reports, the deepest valid files, reach 10.
@@ -81,6 +83,7 @@ impl Default for Limits {
             inflated_bytes: 64 << 20,
             json_overhead_bytes: 256 << 10,
             parts: 4096,
+            described_bytes: 4 << 20,
             elements: 200_000,
             depth: 32,
         }

@@ -238,7 +238,7 @@ fn orientation(header: &NiftiHeader, grid: &Grid, warnings: &mut Vec<Warning>) -
         ));
     }
     // NIfTI: x to the right, y to the front (RAS); DICOM: x to the left, y to the back (LPS).
-    let lps = |v: DVec3| DVec3::new(-v.x, -v.y, v.z);
+    let lps = |v: DVec3| DVec3::new(0.0 - v.x, 0.0 - v.y, v.z);
     Some(Orientation { columns: lps(x), rows: lps(y), slices: lps(z), origin_mm: lps(origin) })
 }
 

@@ -1,6 +1,7 @@
 //! NPY: one `NumPy` array `[gate, slice, row, column]` or `[slice, row, column]`. Its header is parsed strictly here: a general reader
 //! allocates what the header declares, and 192 bytes can declare 80 GB.
 
+use super::error::shown;
 use super::{IntakeError, Limits, Options, counts};
 use crate::study::{Acquisition, Format, Study};
 use crate::volume::Grid;
@@ -27,7 +28,7 @@ pub(super) fn read(bytes: &[u8], options: &Options, limits: &Limits) -> Result<S
         "<i2" => |b| f64::from(i16::from_le_bytes([b[0], b[1]])),
         "<f4" => |b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
         "<f8" => |b| f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]),
-        other => return Err(malformed(format!("its type is '{other}'"))),
+        other => return Err(malformed(format!("its type is '{}'", shown(other)))),
     };
     let sample_bytes = usize::from(header.descr.as_bytes()[2] - b'0');
     counts::check_extent(gates, shape, limits)?;

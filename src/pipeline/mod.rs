@@ -3,16 +3,30 @@
 //! Pure functions: no clock, files, network, environment or database. The same study and parameters give the same result to the last
 //! bit at any number of threads.
 
+pub mod borders;
+pub mod canny;
+pub mod deform;
+pub mod gvf;
+pub mod integrate;
+pub mod measure;
+pub mod models;
 pub mod monitor;
 pub mod parameters;
+pub mod region;
+mod rings;
+pub mod smooth;
 
 use crate::{
     mesh::Mesh,
     study::{Study, Warning},
+    volume::Volume,
 };
-use monitor::Monitor;
+use monitor::{Monitor, Stage};
 use parameters::Parameters;
+use rayon::prelude::*;
+use region::Extent;
 use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The two surfaces of the ventricular wall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -98,8 +112,10 @@ impl GateReconstruction {
 /// Where the ventricle was looked for: the marks that were given and, for the rest, the estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Region {
-    /// Centre `[x, y]` in grid mm.
+    /// Centre `[x, y]` in grid mm, half way between the ends.
     pub centre_mm: [f64; 2],
+    /// How far the centre moves `[x, y]` a mm of z: the tilt of the ventricle's axis against the stack.
+    pub axis_slope: [f64; 2],
     /// Radius of the filtering circle in mm.
     pub radius_mm: f64,
     /// First useful slice, counted from 1.
@@ -177,7 +193,79 @@ impl PipelineError {
 }
 
 /// Reconstructs every gate of a study.
+///
+/// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, and the
+/// evolution of both surfaces. Gates run in parallel on the caller's rayon pool; nothing is reduced across them in parallel.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    let _ = (study, parameters, monitor);
-    Err(PipelineError::NoLeftVentricle { why: "not yet built".into() })
+    let (location, extents) = observed(monitor, Stage::Region, None, || {
+        let location = region::locate(study, &parameters.region)?;
+        let extents = location.extents(study);
+        Ok((location, extents))
+    })?;
+    let done = AtomicUsize::new(0);
+    let total = study.gates.len();
+    monitor.advance(0, total);
+    let gates: Vec<Result<_, PipelineError>> = study
+        .gates
+        .par_iter()
+        .enumerate()
+        .map(|(gate, counts)| {
+            let result = reconstruct_gate(gate, &counts.volume, &extents[gate], parameters, monitor);
+            monitor.advance(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+            result
+        })
+        .collect();
+    // Of several failures the first gate's is told, whichever thread was first.
+    let gates = gates.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let mut warnings = location.warnings();
+    warnings.extend(gates.iter().enumerate().flat_map(|(gate, found)| measure::warnings(gate + 1, found)));
+    Ok(Reconstruction {
+        gates: gates.into_iter().map(|found| found.result).collect(),
+        region: location.region(&study.grid),
+        parameters: parameters.clone(),
+        warnings,
+    })
+}
+
+/// A gate's result and what its warnings are made from.
+struct GateFound {
+    result: GateReconstruction,
+    coverage: PerSurface<f64>,
+}
+
+fn reconstruct_gate(
+    gate: usize,
+    counts: &Volume,
+    extent: &Extent,
+    parameters: &Parameters,
+    monitor: &dyn Monitor,
+) -> Result<GateFound, PipelineError> {
+    let in_gate = Some(gate);
+    let gradient = observed(monitor, Stage::Edges, in_gate, || Ok(canny::gradient(counts, &extent.known, &parameters.edges)))?;
+    let borders = observed(monitor, Stage::Borders, in_gate, || Ok(borders::borders(&gradient, extent, parameters)))?;
+    let fit = |surface: Surface| {
+        let border = borders.found.get(surface);
+        borders::check(gate + 1, surface, border)?;
+        let flow = observed(monitor, Stage::GradientVectorFlow, in_gate, || gvf::flow(&counts.grid, border, &parameters.gvf, monitor))?;
+        let evolved = observed(monitor, Stage::Deformation, in_gate, || deform::evolve(border, &flow, &counts.grid, parameters, monitor))?;
+        observed(monitor, Stage::Measurement, in_gate, || measure::fit(gate + 1, surface, evolved, border, &flow, &counts.grid))
+    };
+    let (endocardial, epicardial) = rayon::join(|| fit(Surface::Endocardial), || fit(Surface::Epicardial));
+    let result = GateReconstruction { fits: PerSurface { endocardial: endocardial?, epicardial: epicardial? } };
+    measure::check(gate + 1, &result)?;
+    Ok(GateFound { result, coverage: borders.coverage })
+}
+
+/// Runs a stage between its announcements.
+fn observed<T>(
+    monitor: &dyn Monitor,
+    stage: Stage,
+    gate: Option<usize>,
+    work: impl FnOnce() -> Result<T, PipelineError>,
+) -> Result<T, PipelineError> {
+    monitor::check(monitor)?;
+    monitor.begin(stage, gate);
+    let result = work();
+    monitor.end(stage, gate);
+    result
 }

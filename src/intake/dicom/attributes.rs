@@ -1,7 +1,8 @@
 //! The attributes that are read, through the DICOM parser; everything else (names, dates, private groups) never reaches it.
 
+use crate::intake::error::shown;
 use crate::intake::prescan::{Element, Scan};
-use crate::intake::{IntakeError, ScanError};
+use crate::intake::{IntakeError, Limits, ScanError};
 use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::value::Value;
 use dicom_core::{Tag, VR};
@@ -58,28 +59,27 @@ const READ: [Tag; 45] = [
     tags::TEMPORAL_POSITION_IDENTIFIER,
 ];
 
-/// Bytes of all attributes that are read: six vectors of 4 096 frames and the sequences stay far below.
-const MOST_BYTES: usize = 1 << 20;
 /// Stack of the thread that parses: at most 32 nested sequences of about 8 KiB a level, with a wide margin.
 const STACK_BYTES: usize = 8 << 20;
 
 /// A data set, or an item of a sequence in it.
 #[derive(Debug)]
-pub(super) struct Attributes(InMemDicomObject);
+pub(super) struct Attributes {
+    data_set: InMemDicomObject,
+    /// Bytes it was parsed from; 0 for an item.
+    pub(super) bytes: usize,
+}
 
 impl Attributes {
     /// Parses the attributes of [`READ`].
-    pub(super) fn parse(scan: &Scan<'_>) -> Result<Self, IntakeError> {
+    pub(super) fn parse(scan: &Scan<'_>, limits: &Limits) -> Result<Self, IntakeError> {
         let wanted = |element: &&Element| element.unambiguous && READ.contains(&element.tag);
         let mut excerpt = Vec::new();
         for element in scan.elements.iter().filter(wanted) {
             excerpt.extend_from_slice(&scan.data[element.bytes.clone()]);
-            if excerpt.len() > MOST_BYTES {
-                return Err(ScanError::Malformed {
-                    offset: element.bytes.start,
-                    found: format!("the attributes that describe the image take more than {MOST_BYTES} bytes"),
-                }
-                .into());
+            if excerpt.len() > limits.described_bytes {
+                let found = format!("the attributes that describe the images take more than {} bytes", limits.described_bytes);
+                return Err(ScanError::Malformed { offset: element.bytes.start, found }.into());
             }
         }
         let syntax = match (scan.encoding.explicit, scan.encoding.big_endian) {
@@ -95,7 +95,7 @@ impl Attributes {
             handle.map(std::thread::ScopedJoinHandle::join)
         });
         match parsed {
-            Ok(Ok(Ok(data_set))) => Ok(Self(data_set)),
+            Ok(Ok(Ok(data_set))) => Ok(Self { data_set, bytes: excerpt.len() }),
             Ok(Ok(Err(error))) => Err(unreadable(one_line(&error))),
             Ok(Err(_)) => Err(unreadable("the parser gave up on it".to_owned())),
             Err(error) => Err(unreadable(error.to_string())),
@@ -104,7 +104,7 @@ impl Attributes {
 
     /// The values of an attribute as trimmed text; absent or empty: none.
     pub(super) fn texts(&self, tag: Tag) -> Vec<String> {
-        let Some(element) = self.0.get(tag) else { return Vec::new() };
+        let Some(element) = self.data_set.get(tag) else { return Vec::new() };
         let Value::Primitive(value) = element.value() else { return Vec::new() };
         let values: Vec<String> =
             if element.vr() == VR::UN { unknown_as_text(tag, &value.to_bytes()) } else { value.to_multi_str().into_owned() };
@@ -115,6 +115,11 @@ impl Attributes {
     /// The first value as text.
     pub(super) fn text(&self, tag: Tag) -> Option<String> {
         self.texts(tag).into_iter().next().filter(|text| !text.is_empty())
+    }
+
+    /// A UID; what is no UID (digits and dots, at most 64) is not repeated anywhere and counts as absent.
+    pub(super) fn uid(&self, tag: Tag) -> Option<String> {
+        self.text(tag).filter(|uid| uid.len() <= 64 && uid.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.'))
     }
 
     /// The values as finite numbers; absent or empty: none.
@@ -154,7 +159,7 @@ impl Attributes {
 
     /// Whether the attribute points at another: Frame Increment Pointer.
     pub(super) fn points_at(&self, tag: Tag, target: Tag) -> bool {
-        let Some(element) = self.0.get(tag) else { return false };
+        let Some(element) = self.data_set.get(tag) else { return false };
         match element.value() {
             Value::Primitive(dicom_core::PrimitiveValue::Tags(targets)) => targets.contains(&target),
             _ => false,
@@ -163,15 +168,14 @@ impl Attributes {
 
     /// The items of a sequence.
     pub(super) fn items(&self, tag: Tag) -> Vec<Self> {
-        let items = self.0.get(tag).and_then(|element| element.items()).unwrap_or_default();
-        items.iter().map(|item| Self(item.clone())).collect()
+        let items = self.data_set.get(tag).and_then(|element| element.items()).unwrap_or_default();
+        items.iter().map(|item| Self { data_set: item.clone(), bytes: 0 }).collect()
     }
 }
 
 /// An attribute error with its value shortened.
 pub(super) fn invalid(tag: Tag, name: &'static str, value: &str, expected: &str) -> IntakeError {
-    let shown: String = value.chars().take(32).map(|c| if c.is_control() { '?' } else { c }).collect();
-    IntakeError::InvalidAttribute { name, tag: tag.to_string(), value: format!("\"{shown}\""), expected: expected.to_owned() }
+    IntakeError::InvalidAttribute { name, tag: tag.to_string(), value: format!("\"{}\"", shown(value)), expected: expected.to_owned() }
 }
 
 /// A value of unknown VR as text, by the VR that the dictionary gives its attribute. UN is little-endian.

@@ -2,6 +2,7 @@
 
 use super::attributes::Attributes;
 use crate::intake::IntakeError;
+use crate::intake::error::shown;
 use crate::intake::prescan::Scan;
 use crate::study::Warning;
 use dicom_core::Tag;
@@ -82,9 +83,9 @@ pub(super) fn check(attributes: &Attributes, scan: &Scan<'_>, frames: usize, war
                     advice: "neither it nor SOP Class UID (0008,0016) says what the object is, and only NM images are reconstructed",
                 });
             }
-            (Some(uid), Some(modality)) => format!("{} (modality {modality})", class_name(uid)),
+            (Some(uid), Some(modality)) => format!("{} (modality {})", class_name(uid), shown(modality)),
             (Some(uid), None) => class_name(uid),
-            (None, Some(modality)) => format!("a DICOM object of modality {modality}"),
+            (None, Some(modality)) => format!("a DICOM object of modality {}", shown(modality)),
         };
         return Err(IntakeError::NotNuclearMedicine { received });
     }
@@ -106,13 +107,13 @@ fn class_name(uid: &str) -> String {
     CLASSES
         .iter()
         .find(|(known, _)| *known == uid)
-        .map_or_else(|| format!("a DICOM object of SOP class {uid}"), |(_, name)| (*name).to_owned())
+        .map_or_else(|| format!("a DICOM object of SOP class {}", shown(uid)), |(_, name)| (*name).to_owned())
 }
 
 /// Judges Image Type (0008,0008), value 3, against the vectors that are there.
 fn image_kind(attributes: &Attributes, frames: usize, warnings: &mut Vec<Warning>) -> Result<Kind, IntakeError> {
     let values = attributes.texts(tags::IMAGE_TYPE);
-    let image_type = values.join("\\");
+    let image_type = shown(&values.join("\\"));
     let present = |tag: Tag| attributes.has(tag) || attributes.points_at(tags::FRAME_INCREMENT_POINTER, tag);
     let slices = present(tags::SLICE_VECTOR);
     let views = present(tags::ANGULAR_VIEW_VECTOR) || present(tags::ROTATION_VECTOR);

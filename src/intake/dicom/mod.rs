@@ -22,11 +22,16 @@ use object::Object;
 /// Reads one multi-frame object, or the files of one series.
 pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeError> {
     let mut warnings = Vec::new();
-    let mut objects = Vec::with_capacity(parts.len());
+    let mut objects: Vec<Object<'_>> = Vec::with_capacity(parts.len());
+    // What all files together may take; each file leaves less for the next.
+    let mut remaining = limits.clone();
     for (index, part) in parts.iter().enumerate() {
         // Of a series, the first file speaks for all.
         let mut own = Vec::new();
-        objects.push(Object::read(part.bytes, limits, &mut own)?);
+        let object = Object::read(part.bytes, &remaining, &mut own)?;
+        remaining.inflated_bytes -= object.pixels.inflated_bytes();
+        remaining.described_bytes -= object.attributes.bytes;
+        objects.push(object);
         if index == 0 {
             warnings = own;
         }

@@ -26,7 +26,7 @@ impl<'a> Object<'a> {
     /// Scans, parses and checks one file.
     pub(super) fn read(bytes: &'a [u8], limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
         let scan = prescan::scan(bytes, limits)?;
-        let attributes = Attributes::parse(&scan)?;
+        let attributes = Attributes::parse(&scan, limits)?;
         let declared_frames = attributes.integer(tags::NUMBER_OF_FRAMES, "Number of Frames");
         let kind = identity::check(
             &attributes,
@@ -56,9 +56,9 @@ impl<'a> Object<'a> {
                 accepted: format!("at most {}", limits.voxels),
             });
         }
-        let study_uid = attributes.text(tags::STUDY_INSTANCE_UID);
-        let series_uid = attributes.text(tags::SERIES_INSTANCE_UID);
-        let instance_uid = attributes.text(tags::SOP_INSTANCE_UID);
+        let study_uid = attributes.uid(tags::STUDY_INSTANCE_UID);
+        let series_uid = attributes.uid(tags::SERIES_INSTANCE_UID);
+        let instance_uid = attributes.uid(tags::SOP_INSTANCE_UID);
         let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], warnings)?;
         Ok(Self { attributes, kind, rows, columns, frames, pixels, study_uid, series_uid, instance_uid })
     }

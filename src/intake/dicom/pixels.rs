@@ -5,6 +5,7 @@
 
 use super::attributes::{Attributes, invalid};
 use crate::intake::IntakeError;
+use crate::intake::error::shown;
 use crate::intake::prescan::{self, Scan};
 use crate::study::Warning;
 use dicom_core::{Tag, VR};
@@ -82,7 +83,7 @@ impl<'a> Pixels<'a> {
         let uid = scan.encoding.uid.as_str();
         if uid != RLE && !NATIVE.contains(&uid) {
             let name = COMPRESSED.iter().find(|(known, _)| *known == uid).map_or("an encoding unknown here", |(_, name)| name);
-            return Err(IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: uid.to_owned() });
+            return Err(IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: shown(uid) });
         }
         let mut samples = Samples::of(attributes, scan.encoding.big_endian, warnings)?;
         let frame_samples = rows * columns;
@@ -127,11 +128,19 @@ impl<'a> Pixels<'a> {
             prescan::Pixels::Encapsulated { .. } => {
                 return Err(IntakeError::UnsupportedTransferSyntax {
                     name: "an uncompressed transfer syntax with encapsulated fragments (the declared transfer syntax is wrong)".to_owned(),
-                    uid: uid.to_owned(),
+                    uid: shown(uid),
                 });
             }
         };
         Ok(Self { data: scan.data, storage, samples, frame_samples })
+    }
+
+    /// Bytes that were inflated to get at the pixels.
+    pub(super) fn inflated_bytes(&self) -> usize {
+        match &self.data {
+            Cow::Borrowed(_) => 0,
+            Cow::Owned(data) => data.len(),
+        }
     }
 
     /// Decodes a frame (counted from 0) into counts, row by row.

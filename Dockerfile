@@ -1,0 +1,37 @@
+# syntax=docker/dockerfile:1
+
+# The version of rust-toolchain.toml, which is not copied: it asks for rustfmt and clippy too.
+FROM rust:1.95.0-bookworm AS build
+WORKDIR /build
+# Dependencies first: this layer is built again only when the manifest or the lock file changes. The manifest names the integration
+# tests, so cargo wants their file to exist.
+COPY Cargo.toml Cargo.lock ./
+RUN mkdir -p src tests/it \
+    && echo 'fn main() {}' > src/main.rs \
+    && touch src/lib.rs tests/it/main.rs \
+    && cargo build --release --locked
+COPY . .
+# Copied files keep their times, which may lie before those of the empty ones above.
+RUN touch src/main.rs src/lib.rs \
+    && cargo build --release --locked \
+    && ./target/release/ventricle --version
+
+FROM debian:bookworm-slim
+LABEL org.opencontainers.image.title="Ventricle" \
+      org.opencontainers.image.description="Reconstructs the left ventricle from gated cardiac SPECT" \
+      org.opencontainers.image.licenses="MIT OR Apache-2.0"
+RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin ventricle \
+    && install --directory --owner ventricle --group ventricle --mode 0700 /data
+COPY --from=build /build/target/release/ventricle /usr/local/bin/ventricle
+COPY LICENSE LICENSE-MIT LICENSE-APACHE /usr/share/doc/ventricle/
+USER ventricle
+WORKDIR /data
+# The port is open to the container's network, and the service refuses that until it is told that something before it encrypts and
+# authenticates: run with -e VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true where that is so.
+ENV VENTRICLE_LISTEN=0.0.0.0:8080 VENTRICLE_DATA_DIR=/data VENTRICLE_LOG_FORMAT=json
+EXPOSE 8080
+VOLUME /data
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=15s --timeout=5s --start-period=10s --retries=3 CMD ["ventricle", "healthcheck"]
+ENTRYPOINT ["ventricle"]
+CMD ["serve"]

@@ -1,0 +1,37 @@
+# Each target is one command a person types; make alone lists them.
+
+SHELL := /usr/bin/env bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help demo build test lint bench openapi
+
+# Absent in a fresh clone; cargo then uses ./target.
+CARGO_TARGET_DIR ?= target
+
+help: ## lists the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: build ## starts the service, posts a beating phantom as DICOM, shows the result (ONCE=1: then exits)
+	@"$(CARGO_TARGET_DIR)/release/ventricle" demo $(if $(ONCE),--once)
+
+build: ## builds the release binary
+	cargo build --release --locked
+
+test: ## installs what the tests need on Debian, then runs all of them
+	@tests/tools/prepare.sh
+	@tests/tools/run.sh
+
+lint: ## formatting, clippy, documentation, licences and advisories
+	cargo fmt --check
+	cargo clippy --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
+	@if command -v cargo-deny >/dev/null; then cargo deny check; else \
+	  echo "not checked: licences and advisories, as cargo-deny is not installed (cargo install --locked cargo-deny)"; fi
+
+bench: ## runs the benchmarks
+	cargo bench --locked
+
+openapi: ## writes openapi/openapi.json from the routes
+	mkdir -p openapi
+	cargo run --quiet --locked -- openapi > openapi/openapi.json.new
+	mv openapi/openapi.json.new openapi/openapi.json
