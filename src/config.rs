@@ -36,11 +36,11 @@ pub struct ServeSettings {
     pub max_body_mb: u64,
 
     /// Jobs that may wait; more are answered 503 with `Retry-After`.
-    #[arg(long, env = "VENTRICLE_MAX_QUEUED_JOBS", default_value = "100", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, env = "VENTRICLE_MAX_QUEUED_JOBS", default_value = "1000", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_queued_jobs: u64,
 
     /// MiB of input that may wait or be on its way; more is answered 503 with `Retry-After`.
-    #[arg(long, env = "VENTRICLE_MAX_QUEUED_MB", default_value = "1024", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
+    #[arg(long, env = "VENTRICLE_MAX_QUEUED_MB", default_value = "4096", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     pub max_queued_mb: u64,
 
     /// MiB that must be free in the data directory for the service to call itself ready.

@@ -1,1 +1,8 @@
-//! (to be written)
+//! The service as its clients meet it: in process, over a real store, with work that the test decides; and once over a socket.
+
+mod following;
+mod harness;
+mod operating;
+mod refusing;
+mod socket;
+mod submitting;

@@ -1,1 +1,576 @@
-//! (to be written)
+//! The life of jobs in the store and with workers: on SQLite, in a directory of its own for each test, or, when `TEST_DATABASE_URL`
+//! names a PostgreSQL server (`postgres://user@host/database`), in a database of its own.
+
+use ndarray::Array3;
+use sha2::{Digest, Sha256};
+use sqlx::{AssertSqlSafe, Connection, PgConnection};
+use std::{
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::{Duration, Instant},
+};
+use uuid::Uuid;
+use ventricle::{
+    jobs::{
+        Backend, Deletion, Finish, Heartbeat, Job, ListQuery, NewJob, Outcome, Output, Progress, Snapshot, State, Store, StoreError,
+        StoreSettings, SubmitError, Submitted, Work, WorkError, WorkerSettings, Workers, start_workers,
+    },
+    pipeline::{
+        monitor::{Monitor, Stage},
+        parameters::Parameters,
+    },
+    study::{Acquisition, Format, Gate, Study},
+    volume::{Grid, Volume},
+};
+
+/// Where the jobs of one test are kept: a directory that goes with it, or a database that stays.
+struct Place {
+    directory: PathBuf,
+    backend: Backend,
+}
+
+impl Place {
+    /// On the engine the environment asks for.
+    #[expect(clippy::disallowed_methods, reason = "which engine is tested is a matter of the test run, not of the program's settings")]
+    async fn new() -> Self {
+        let Ok(server) = std::env::var("TEST_DATABASE_URL") else { return Self::sqlite() };
+        let name = format!("ventricle_{}", Uuid::now_v7().simple());
+        let mut connection = PgConnection::connect(&server).await.unwrap();
+        sqlx::raw_sql(AssertSqlSafe(format!("CREATE DATABASE {name}"))).execute(&mut connection).await.unwrap();
+        let (server, _) = server.rsplit_once('/').unwrap();
+        Self { backend: Backend::Postgres { url: format!("{server}/{name}") }, directory: PathBuf::new() }
+    }
+
+    /// On SQLite, for what only a store without other processes can do.
+    fn sqlite() -> Self {
+        let directory = std::env::temp_dir().join(format!("ventricle-jobs-{}", Uuid::now_v7()));
+        Self { backend: Backend::Sqlite { directory: directory.clone() }, directory }
+    }
+
+    fn settings(&self) -> StoreSettings {
+        StoreSettings { backend: self.backend.clone(), connections: 4, ..StoreSettings::default() }
+    }
+
+    async fn open(&self) -> Store {
+        Store::open(self.settings()).await.unwrap()
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        if matches!(self.backend, Backend::Sqlite { .. }) {
+            std::fs::remove_dir_all(&self.directory).ok();
+        }
+    }
+}
+
+fn study() -> Study {
+    let grid = Grid { shape: [2, 3, 4], spacing_mm: [6.0, 3.0, 3.0] };
+    let gate = |gate: usize| Gate {
+        volume: Volume { grid, counts: Array3::from_shape_fn((2, 3, 4), |(z, y, x)| (gate + z + y + x) as f32) },
+        duration_ms: Some(100.0),
+    };
+    Study {
+        grid,
+        gates: (0..4).map(gate).collect(),
+        orientation: None,
+        acquisition: Acquisition::unknown(Format::Phantom),
+        warnings: Vec::new(),
+    }
+}
+
+fn new_job() -> NewJob {
+    NewJob { owner: "someone".into(), idempotency_key: None, request_hash: [1; 32], study: study(), parameters: Parameters::paper() }
+}
+
+async fn submit(store: &Store) -> Job {
+    let submitted = store.submit(store.reserve(100).unwrap(), new_job()).await.unwrap();
+    assert!(matches!(submitted, Submitted::Created(_)));
+    submitted.job().clone()
+}
+
+fn work(work: impl Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync + 'static) -> Work {
+    Arc::new(work)
+}
+
+fn output(name: &str, data: &[u8]) -> Output {
+    Output { name: name.into(), media_type: "application/json", data: data.to_vec() }
+}
+
+/// Work that goes on until it is told to stop.
+fn endless() -> Work {
+    work(|_, _, _, progress| {
+        while !progress.is_cancelled() {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Err(WorkError::Cancelled)
+    })
+}
+
+fn workers(store: &Store, work: Work) -> Workers {
+    let settings = WorkerSettings {
+        threads_per_worker: 1,
+        heartbeat: Duration::from_millis(100),
+        progress_interval: Duration::from_millis(20),
+        poll: Duration::from_millis(50),
+        work,
+        ..WorkerSettings::default()
+    };
+    start_workers(store.clone(), settings).unwrap()
+}
+
+async fn until(store: &Store, id: Uuid, wanted: impl Fn(&Job) -> bool) -> Job {
+    let deadline = Instant::now() + Duration::from_secs(20);
+    let mut version = 0;
+    loop {
+        let job = store.wait_for_change(id, version, Duration::from_secs(1)).await.unwrap().unwrap();
+        if wanted(&job) {
+            return job;
+        }
+        assert!(!job.state.is_final() && Instant::now() < deadline, "the job never got there: {job:?}");
+        version = job.version;
+    }
+}
+
+async fn until_state(store: &Store, id: Uuid, state: State) -> Job {
+    until(store, id, |job| job.state == state).await
+}
+
+#[tokio::test]
+async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    assert_eq!((job.state, job.queue_position, job.attempt, job.gates_total), (State::Queued, Some(1), 0, 4));
+    assert_eq!(submit(&store).await.queue_position, Some(2));
+    let (gate, gates) = std::sync::mpsc::channel::<()>();
+    let gates = std::sync::Mutex::new(gates);
+    let running = workers(
+        &store,
+        work(move |given, parameters, id, progress| {
+            assert_eq!((given, parameters), (&study(), &Parameters::paper()));
+            progress.begin(Stage::Measurement, Some(0));
+            progress.end(Stage::Measurement, Some(0));
+            progress.advance(1, 4);
+            gates.lock().unwrap().recv().unwrap();
+            Ok(vec![output("report", id.to_string().as_bytes()), output("gates/1/endocardial.glb", &[0; 300_000])])
+        }),
+    );
+    let seen = until(&store, job.id, |job| job.gates_done == 1).await;
+    assert_eq!((seen.state, seen.progress, seen.stage.as_deref()), (State::Running, 0.25, Some("measurement")));
+    assert!(seen.version > job.version && seen.started_at.is_some() && seen.queue_position.is_none());
+    gate.send(()).unwrap();
+    let done = until_state(&store, job.id, State::Succeeded).await;
+    assert_eq!((done.progress, done.attempt, done.stage, done.gates_done), (1.0, 1, None, 1));
+    assert!(done.finished_at >= done.started_at && done.started_at >= Some(done.created_at));
+    let blob = store.blob(job.id, "report").await.unwrap().unwrap();
+    assert_eq!((blob.data.as_slice(), blob.media_type.as_str()), (job.id.to_string().as_bytes(), "application/json"));
+    let large = store.blob(job.id, "gates/1/endocardial.glb").await.unwrap().unwrap();
+    let hash = large.sha256.as_bytes().chunks(2).map(|hex| u8::from_str_radix(std::str::from_utf8(hex).unwrap(), 16).unwrap());
+    assert_eq!((large.data.len(), hash.collect::<Vec<_>>().as_slice()), (300_000, Sha256::digest(&large.data).as_slice()));
+    assert_eq!(store.blob(job.id, "input").await.unwrap(), None, "the input of a finished job is deleted");
+    assert_eq!(store.blob(job.id, "surfaces.glb").await.unwrap(), None);
+    gate.send(()).unwrap();
+    assert!(running.alive());
+    running.drain(Duration::from_secs(10)).await;
+    assert!(!running.alive());
+}
+
+#[tokio::test]
+async fn the_input_is_kept_when_asked_for() {
+    let place = Place::new().await;
+    let store = Store::open(StoreSettings { keep_input: true, ..place.settings() }).await.unwrap();
+    let job = submit(&store).await;
+    let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
+    until_state(&store, job.id, State::Succeeded).await;
+    let input = store.blob(job.id, "input").await.unwrap().unwrap();
+    assert_eq!(ventricle::jobs::input::decode(&input.data).unwrap(), study());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn the_same_key_and_request_is_the_same_job_however_many_race() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let keyed = || NewJob { idempotency_key: Some("key".into()), ..new_job() };
+    let racing = (0..8).map(|_| {
+        let (store, new) = (store.clone(), keyed());
+        tokio::spawn(async move { store.submit(store.reserve(100).unwrap(), new).await.unwrap() })
+    });
+    let mut answers = Vec::new();
+    for answer in racing.collect::<Vec<_>>() {
+        answers.push(answer.await.unwrap());
+    }
+    assert_eq!(answers.iter().filter(|answer| matches!(answer, Submitted::Created(_))).count(), 1);
+    assert!(answers.iter().all(|answer| answer.job().id == answers[0].job().id));
+    assert_eq!(store.counts().await.unwrap().queued, 1);
+    assert_eq!(store.counts().await.unwrap().reserved, 0);
+
+    let other = NewJob { request_hash: [2; 32], ..keyed() };
+    let refused = store.submit(store.reserve(100).unwrap(), other).await;
+    assert!(matches!(refused, Err(SubmitError::KeyReused)));
+    let someone_else = NewJob { owner: "someone else".into(), ..keyed() };
+    assert!(matches!(store.submit(store.reserve(100).unwrap(), someone_else).await, Ok(Submitted::Created(_))));
+}
+
+#[tokio::test]
+async fn the_queue_is_limited_by_jobs_and_bytes_exactly() {
+    let place = Place::new().await;
+    let bytes = ventricle::jobs::input::encode(&study()).unwrap().len() as u64;
+    let limits = StoreSettings { max_queued_jobs: 3, max_queued_bytes: 3 * bytes, ..place.settings() };
+    let store = Store::open(limits.clone()).await.unwrap();
+    submit(&store).await;
+    let held = store.reserve(bytes).unwrap();
+    assert!(store.reserve(bytes + 1).is_err(), "too many bytes");
+    let last = store.reserve(0).unwrap();
+    let full = store.reserve(0).unwrap_err();
+    assert!((1..=600).contains(&full.retry_after_s), "too many jobs: {full:?}");
+    // The place was taken for fewer bytes than the study needs; there is still room.
+    store.submit(last, new_job()).await.unwrap();
+    drop(held);
+    submit(&store).await;
+    assert!(store.reserve(0).is_err());
+    let counts = store.counts().await.unwrap();
+    assert_eq!((counts.queued, counts.queued_bytes, counts.reserved), (3, 3 * bytes, 0));
+    store.close().await;
+
+    let store = Store::open(limits).await.unwrap();
+    assert!(store.reserve(0).is_err(), "the limits know what was queued before");
+    let claim = store.claim("test").await.unwrap().unwrap();
+    assert!(store.reserve(bytes).is_ok(), "what runs is not queued");
+    assert!(store.give_back(&claim).await.unwrap());
+    assert!(store.reserve(0).is_err());
+    let place = store.list(ListQuery::default()).await.unwrap().jobs[0].id;
+    assert!(matches!(store.delete(place).await.unwrap(), Deletion::Cancelled(_)));
+    let mut reservation = store.reserve(0).unwrap();
+    assert!(reservation.resize(bytes + 1).is_err());
+    reservation.resize(bytes).unwrap();
+}
+
+#[tokio::test]
+async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    let Deletion::Cancelled(cancelled) = store.delete(job.id).await.unwrap() else { panic!("not cancelled") };
+    assert_eq!((cancelled.state, cancelled.attempt), (State::Cancelled, 0));
+    assert!(cancelled.finished_at.is_some() && cancelled.version > job.version);
+    assert_eq!(store.blob(job.id, "input").await.unwrap(), None);
+    assert_eq!(store.claim("test").await.unwrap(), None);
+    assert_eq!(store.delete(job.id).await.unwrap(), Deletion::Deleted);
+    assert_eq!(store.get(job.id).await.unwrap(), None);
+    assert_eq!(store.delete(job.id).await.unwrap(), Deletion::NotFound);
+}
+
+#[tokio::test]
+async fn a_running_job_stops_within_a_second() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    let settings = WorkerSettings { work: endless(), heartbeat: Duration::from_mins(1), ..WorkerSettings::default() };
+    let _workers = start_workers(store.clone(), settings).unwrap();
+    until_state(&store, job.id, State::Running).await;
+    let asked = Instant::now();
+    let Deletion::Cancelling(cancelling) = store.delete(job.id).await.unwrap() else { panic!("not cancelling") };
+    assert!(cancelling.state == State::Running && cancelling.cancel_requested);
+    until_state(&store, job.id, State::Cancelled).await;
+    assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
+    assert_eq!(store.delete(job.id).await.unwrap(), Deletion::Deleted);
+}
+
+#[tokio::test]
+async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    let claim = store.claim("test").await.unwrap().unwrap();
+    assert_eq!(store.heartbeat(&claim, None).await.unwrap(), Heartbeat::Held { cancel: false });
+    store.delete(job.id).await.unwrap();
+    assert_eq!(store.heartbeat(&claim, None).await.unwrap(), Heartbeat::Held { cancel: true });
+    let results = Outcome::Succeeded(vec![output("report", b"{}")]);
+    assert_eq!(store.finish(&claim, results, &Snapshot::default()).await.unwrap(), Finish::Done(State::Cancelled));
+    assert_eq!(store.blob(job.id, "report").await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn what_comes_late_from_a_lost_attempt_is_refused() {
+    let place = Place::new().await;
+    let store = Store::open(StoreSettings { lease: Duration::from_millis(30), ..place.settings() }).await.unwrap();
+    let job = submit(&store).await;
+    let first = store.claim("first").await.unwrap().unwrap();
+    assert_eq!(store.reap().await.unwrap(), [], "the lease still runs");
+    tokio::time::sleep(Duration::from_millis(60)).await;
+    let reaped = store.reap().await.unwrap();
+    assert_eq!(reaped.iter().map(|job| (job.id, job.state)).collect::<Vec<_>>(), [(job.id, State::Queued)]);
+    assert_eq!(store.claim("second").await.unwrap(), None, "a pause comes before the next attempt");
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    let second = store.claim("second").await.unwrap().unwrap();
+    assert_eq!((first.id, first.attempt, second.id, second.attempt), (job.id, 1, job.id, 2));
+
+    let news = Snapshot { fraction: 0.9, ..Snapshot::default() };
+    let results = |data: &[u8]| Outcome::Succeeded(vec![output("report", data)]);
+    assert_eq!(store.heartbeat(&first, Some(&news)).await.unwrap(), Heartbeat::Lost);
+    assert_eq!(store.finish(&first, results(b"first"), &news).await.unwrap(), Finish::Lost);
+    assert!(!store.give_back(&first).await.unwrap());
+    let untouched = store.get(job.id).await.unwrap().unwrap();
+    assert_eq!((untouched.state, untouched.progress, untouched.attempt), (State::Running, 0.0, 2));
+    assert_eq!(store.finish(&second, results(b"second"), &news).await.unwrap(), Finish::Done(State::Succeeded));
+    assert_eq!(store.finish(&second, results(b"again"), &news).await.unwrap(), Finish::Lost, "once is enough");
+    assert_eq!(store.blob(job.id, "report").await.unwrap().unwrap().data, b"second");
+}
+
+#[tokio::test]
+async fn a_job_that_loses_every_worker_fails_and_the_next_one_runs() {
+    let place = Place::sqlite();
+    let mut poison = None;
+    for attempt in 1..=3 {
+        let store = place.open().await;
+        let id = match poison {
+            Some(id) => id,
+            None => submit(&store).await.id,
+        };
+        poison = Some(id);
+        assert_eq!(store.get(id).await.unwrap().unwrap().state, State::Queued, "before attempt {attempt}");
+        let claim = store.claim("dies").await.unwrap().unwrap();
+        assert_eq!((claim.id, claim.attempt), (id, attempt));
+        store.close().await;
+    }
+    let store = place.open().await;
+    let failed = store.get(poison.unwrap()).await.unwrap().unwrap();
+    assert_eq!((failed.state, failed.attempt), (State::Failed, 3));
+    assert_eq!(failed.error.unwrap().code, "worker_lost");
+    assert_eq!(store.blob(failed.id, "input").await.unwrap(), None);
+    let next = submit(&store).await;
+    let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
+    until_state(&store, next.id, State::Succeeded).await;
+}
+
+#[tokio::test]
+async fn a_restart_continues_what_was_running() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let jobs = [submit(&store).await.id, submit(&store).await.id, submit(&store).await.id];
+    let killed = workers(&store, endless());
+    until_state(&store, jobs[0], State::Running).await;
+    // Without a drain, as a crash would have it; only the lock must be let go.
+    drop(killed);
+    drop(store);
+
+    let store = place.open().await;
+    let job = store.get(jobs[0]).await.unwrap().unwrap();
+    assert_eq!((job.state, job.attempt, job.queue_position), (State::Queued, 1, Some(1)));
+    let runs = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&runs);
+    let _workers = workers(
+        &store,
+        work(move |_, _, _, _| {
+            counted.fetch_add(1, Ordering::Relaxed);
+            Ok(vec![output("report", b"{}")])
+        }),
+    );
+    for id in jobs {
+        let done = until_state(&store, id, State::Succeeded).await;
+        assert_eq!(done.attempt, if id == jobs[0] { 2 } else { 1 });
+        assert!(store.blob(id, "report").await.unwrap().is_some());
+    }
+    assert_eq!(runs.load(Ordering::Relaxed), 3);
+}
+
+#[tokio::test]
+async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let (bad, good, hopeless) = (submit(&store).await.id, submit(&store).await.id, submit(&store).await.id);
+    let _workers = workers(
+        &store,
+        work(move |_, _, id, _| match id {
+            id if id == bad => panic!("secret detail"),
+            id if id == hopeless => Err(WorkError::Failed { code: "no_border", message: "Gate 2 has no border.".into() }),
+            _ => Ok(Vec::new()),
+        }),
+    );
+    let failed = until_state(&store, bad, State::Failed).await;
+    let error = failed.error.unwrap();
+    assert_eq!((error.code.as_str(), failed.attempt), ("internal_error", 1));
+    assert!(!error.message.contains("secret"), "{}", error.message);
+    until_state(&store, good, State::Succeeded).await;
+    let error = until_state(&store, hopeless, State::Failed).await.error.unwrap();
+    assert_eq!((error.code.as_str(), error.message.as_str()), ("no_border", "Gate 2 has no border."));
+}
+
+#[tokio::test]
+async fn a_drain_waits_then_gives_back_uncharged() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let (long, waiting) = (submit(&store).await.id, submit(&store).await.id);
+    for round in 1..=5 {
+        let draining = workers(&store, endless());
+        until_state(&store, long, State::Running).await;
+        assert_eq!(draining.drain(Duration::from_millis(20)).await.given_back, 1);
+        let job = store.get(long).await.unwrap().unwrap();
+        assert_eq!((job.state, job.attempt, job.queue_position), (State::Queued, round, Some(1)), "never worker_lost");
+    }
+    assert_eq!(store.get(waiting).await.unwrap().unwrap().attempt, 0);
+
+    let short = workers(
+        &store,
+        work(|_, _, _, _| {
+            std::thread::sleep(Duration::from_millis(200));
+            Ok(Vec::new())
+        }),
+    );
+    until_state(&store, long, State::Running).await;
+    assert_eq!(short.drain(Duration::from_secs(10)).await.given_back, 0);
+    assert_eq!(store.get(long).await.unwrap().unwrap().state, State::Succeeded);
+    assert_eq!(store.get(waiting).await.unwrap().unwrap().state, State::Queued, "nothing is claimed while draining");
+}
+
+#[tokio::test]
+async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    let deaf = workers(
+        &store,
+        work(|_, _, _, _| {
+            std::thread::sleep(Duration::from_secs(4));
+            Ok(vec![output("report", b"{}")])
+        }),
+    );
+    until_state(&store, job.id, State::Running).await;
+    let began = Instant::now();
+    assert_eq!(deaf.drain(Duration::from_millis(20)).await.given_back, 1);
+    assert!(began.elapsed() < Duration::from_secs(3), "{:?}", began.elapsed());
+    assert_eq!(store.get(job.id).await.unwrap().unwrap().state, State::Queued);
+}
+
+#[tokio::test]
+async fn a_directory_serves_one_store() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let second = StoreSettings { directory_wait: Duration::from_millis(200), ..place.settings() };
+    let refused = Store::open(second.clone()).await.unwrap_err();
+    assert!(matches!(refused, StoreError::DirectoryInUse { .. }), "{refused}");
+    assert!(refused.to_string().contains("in use by another process"), "{refused}");
+    submit(&store).await;
+    store.ping().await.unwrap();
+    store.close().await;
+    assert!(store.ping().await.is_err());
+    let store = Store::open(second).await.unwrap();
+    assert_eq!(store.counts().await.unwrap().queued, 1);
+}
+
+/// Not a test by itself: the other process of [`a_directory_serves_one_process`], which prints what opening the directory said.
+#[tokio::test]
+#[ignore = "run by a_directory_serves_one_process"]
+#[expect(clippy::disallowed_methods, reason = "how one test process tells the other where")]
+async fn open_as_another_process() {
+    let directory = PathBuf::from(std::env::var_os("VENTRICLE_TEST_DIRECTORY").unwrap());
+    let settings =
+        StoreSettings { backend: Backend::Sqlite { directory }, directory_wait: Duration::from_millis(200), ..StoreSettings::default() };
+    match Store::open(settings).await {
+        Ok(_) => println!("opened"),
+        Err(error) => println!("refused: {error}"),
+    }
+}
+
+#[tokio::test]
+async fn a_directory_serves_one_process() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let open = || {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "jobs::open_as_another_process", "--ignored", "--nocapture"])
+            .env("VENTRICLE_TEST_DIRECTORY", &place.directory)
+            .output()
+            .unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let refused = open();
+    assert!(refused.contains("refused:") && refused.contains("is in use by another process"), "{refused}");
+    submit(&store).await;
+    store.close().await;
+    let opened = open();
+    assert!(opened.contains("opened"), "{opened}");
+}
+
+#[tokio::test]
+async fn lists_are_newest_first_in_pages_and_filtered() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let mut ids = Vec::new();
+    for number in 0..7 {
+        let mut new = new_job();
+        new.study.acquisition.study_instance_uid = Some(format!("1.2.{}", number % 2));
+        ids.push(store.submit(store.reserve(100).unwrap(), new).await.unwrap().job().id);
+    }
+    ids.reverse();
+    let (mut seen, mut cursor) = (Vec::new(), None);
+    for pages in 1.. {
+        let page = store.list(ListQuery { limit: 3, cursor, ..ListQuery::default() }).await.unwrap();
+        seen.extend(page.jobs.iter().map(|job| job.id));
+        cursor = page.next_cursor;
+        if cursor.is_none() {
+            assert_eq!(pages, 3);
+            break;
+        }
+    }
+    assert_eq!(seen, ids);
+    let odd = ListQuery { study_instance_uid: Some("1.2.1".into()), ..ListQuery::default() };
+    let page = store.list(odd.clone()).await.unwrap();
+    assert_eq!((page.jobs.len(), page.next_cursor), (3, None));
+    assert!(page.jobs.iter().all(|job| job.study_instance_uid.as_deref() == Some("1.2.1")));
+    store.delete(ids[1]).await.unwrap();
+    let cancelled = store.list(ListQuery { state: Some(State::Cancelled), ..odd }).await.unwrap().jobs;
+    assert_eq!(cancelled.iter().map(|job| job.id).collect::<Vec<_>>(), [ids[1]]);
+}
+
+#[tokio::test]
+async fn waiting_ends_with_a_change_the_time_or_the_job() {
+    let place = Place::new().await;
+    let store = Store::open(StoreSettings { poll: Duration::from_mins(1), ..place.settings() }).await.unwrap();
+    let job = submit(&store).await;
+    let began = Instant::now();
+    let same = store.wait_for_change(job.id, job.version, Duration::from_millis(100)).await.unwrap().unwrap();
+    assert!(same.version == job.version && began.elapsed() >= Duration::from_millis(100));
+    let (claim, changed) = tokio::join!(store.claim("test"), store.wait_for_change(job.id, job.version, Duration::from_secs(20)));
+    let changed = changed.unwrap().unwrap();
+    assert_eq!(changed.state, State::Running);
+    let claim = claim.unwrap().unwrap();
+    let wait = store.wait_for_change(job.id, changed.version, Duration::from_secs(20));
+    let failed = async {
+        let error = ventricle::jobs::JobError { code: "no_border".into(), message: "None.".into() };
+        store.finish(&claim, Outcome::Failed(error), &Snapshot::default()).await
+    };
+    let (ended, _) = tokio::join!(wait, failed);
+    let ended = ended.unwrap().unwrap();
+    assert_eq!(ended.state, State::Failed);
+    store.wait_for_change(job.id, ended.version, Duration::from_secs(20)).await.unwrap().unwrap();
+    store.delete(job.id).await.unwrap();
+    assert_eq!(store.wait_for_change(job.id, ended.version, Duration::from_secs(20)).await.unwrap(), None);
+    assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
+}
+
+#[tokio::test]
+async fn the_rate_is_measured_and_survives_a_restart() {
+    let place = Place::new().await;
+    let store = place.open().await;
+    let job = submit(&store).await;
+    assert_eq!(job.eta_seconds, None, "nothing was measured yet");
+    let measuring = workers(
+        &store,
+        work(|_, _, _, _| {
+            std::thread::sleep(Duration::from_millis(150));
+            Ok(Vec::new())
+        }),
+    );
+    until_state(&store, job.id, State::Succeeded).await;
+    measuring.drain(Duration::from_secs(5)).await;
+    store.close().await;
+    let store = place.open().await;
+    let (first, second) = (submit(&store).await, submit(&store).await);
+    let (first_s, second_s) = (first.eta_seconds.unwrap(), second.eta_seconds.unwrap());
+    assert!((0.1..2.0).contains(&first_s) && (second_s - 2.0 * first_s).abs() < 1e-9, "{first_s} {second_s}");
+}

@@ -12,4 +12,6 @@ mod phantom;
 mod pipeline;
 mod report;
 mod restart;
+mod served;
+mod shared;
 mod surfaces;
