@@ -188,8 +188,10 @@ pub struct Myocardium {
 /// Where the ventricle was looked for: given marks, and estimates for the rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RegionSummary {
-    /// Centre `[x, y]` in mm from the centre of the first voxel, along columns and rows.
+    /// Centre `[x, y]` half way between the ends, in mm from the centre of the first voxel, along columns and rows.
     pub centre_mm: [f64; 2],
+    /// How far the centre moves `[x, y]` a mm of z: the tilt of the ventricle's axis against the stack.
+    pub axis_slope: [f64; 2],
     /// Radius of the filtering circle in mm.
     pub radius_mm: f64,
     /// First useful slice, counted from 1.
@@ -331,7 +333,7 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
             converged.push(within);
             if within < limits.within_one_voxel {
                 let (name, percent) = (surface.name(), fit.within_one_voxel_percent);
-                let text = format!("The {name} surface has {percent:.0} % of its particles within one voxel of the detected border.");
+                let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
                 warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
             }
         }
@@ -372,8 +374,8 @@ impl From<&Fit> for FitSummary {
 
 impl From<Region> for RegionSummary {
     fn from(region: Region) -> Self {
-        let Region { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice } = region;
-        Self { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice }
+        let Region { centre_mm, axis_slope, radius_mm, first_slice, last_slice, base_at_last_slice } = region;
+        Self { centre_mm, axis_slope, radius_mm, first_slice, last_slice, base_at_last_slice }
     }
 }
 
