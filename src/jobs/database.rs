@@ -141,10 +141,10 @@ impl Database {
 
     /// That the linked SQLite is recent enough and took the settings durability rests on.
     async fn check_sqlite(&self) -> Result<(), StoreError> {
-        let answer = |row: Option<Row>| row.map_or(Ok(String::new()), |row| row.get::<String>(0));
+        let answer = |row: Option<Row>| row.map_or(Ok(String::new()), |row| row.get(0));
         let found = answer(self.fetch_one("SELECT sqlite_version()", vec![]).await?)?;
         let (required, least) = LEAST_SQLITE;
-        if !version(&found).is_some_and(|version| version >= least) {
+        if version(&found).is_none_or(|version| version < least) {
             return Err(StoreError::SqliteTooOld { found, required });
         }
         for (setting, sql, wanted) in [

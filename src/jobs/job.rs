@@ -50,7 +50,7 @@ impl State {
 /// Why a job failed: a stable code and a sentence for the user.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobError {
-    /// Stable snake_case code: one of [`crate::pipeline::PipelineError::code`], `export_failed`, `worker_lost` or `internal_error`.
+    /// Stable `snake_case` code: one of [`crate::pipeline::PipelineError::code`], `export_failed`, `worker_lost` or `internal_error`.
     pub code: String,
     /// One or two sentences without internal text.
     pub message: String,

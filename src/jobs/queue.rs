@@ -251,12 +251,15 @@ mod tests {
         let queue = queue(10, u64::MAX);
         queue.served_by(2);
         queue.entered(Load { jobs: 10, bytes: 10 });
-        [2.0, 4.0].into_iter().for_each(|duration_s| queue.measured(duration_s));
+        queue.measured(2.0);
+        queue.measured(4.0);
         assert_eq!(queue.full().retry_after_s, 15, "mean 3 s x 10 jobs / 2 workers");
         assert_eq!(queue.eta_queued_s(3), Some(6.0));
         queue.measured(1e9);
         assert_eq!(queue.full().retry_after_s, 600);
-        (0..MEASURED_JOBS).for_each(|_| queue.measured(0.001));
+        for _ in 0..MEASURED_JOBS {
+            queue.measured(0.001);
+        }
         assert_eq!(queue.full().retry_after_s, 1);
     }
 }

@@ -16,13 +16,8 @@ pub(super) async fn upgrade(database: &Database) -> Result<(), StoreError> {
     let known = STEPS.len() as i64;
     let mut transaction = database.begin_schema().await?;
     transaction.execute_script("CREATE TABLE IF NOT EXISTS schema_version (version BIGINT NOT NULL)").await?;
-    let found = match transaction.fetch_one("SELECT version FROM schema_version", vec![]).await? {
-        Some(row) => row.get::<i64>(0)?,
-        None => {
-            transaction.execute("INSERT INTO schema_version (version) VALUES (0)", vec![]).await?;
-            0
-        }
-    };
+    let row = transaction.fetch_one("SELECT version FROM schema_version", vec![]).await?;
+    let found = row.map(|row| row.get::<i64>(0)).transpose()?.unwrap_or(0);
     if found > known {
         return Err(StoreError::SchemaTooNew { found, known });
     }
@@ -32,6 +27,7 @@ pub(super) async fn upgrade(database: &Database) -> Result<(), StoreError> {
     if found == 0 && database.is_shared() {
         transaction.execute_script(POSTGRES_STORAGE).await?;
     }
-    transaction.execute("UPDATE schema_version SET version = $1", values![known]).await?;
+    transaction.execute("DELETE FROM schema_version", vec![]).await?;
+    transaction.execute("INSERT INTO schema_version (version) VALUES ($1)", values![known]).await?;
     transaction.commit().await
 }

@@ -48,7 +48,7 @@ impl Watcher<'_> {
             return;
         }
         // The sender lives while a watcher does; should it not, polling goes on.
-        std::future::pending().await
+        std::future::pending::<()>().await;
     }
 }
 

@@ -42,7 +42,7 @@ pub enum WorkError {
     /// The same input would fail again; the sentence is for the user.
     #[error("{message}")]
     Failed {
-        /// Stable snake_case code.
+        /// Stable `snake_case` code.
         code: &'static str,
         /// One or two sentences for the user.
         message: String,

@@ -89,6 +89,7 @@ enum Phase {
 }
 
 /// Starts the workers and the reaper on the current runtime.
+#[expect(clippy::needless_pass_by_value, reason = "the store and the settings are the workers' from here on")]
 pub fn start_workers(store: Store, settings: WorkerSettings) -> io::Result<Workers> {
     let (phase, seen_phase) = watch::channel(Phase::Claiming);
     store.inner.queue.served_by(settings.workers);
@@ -113,12 +114,11 @@ impl Workers {
         let tasks = std::mem::take(&mut *self.tasks.lock().unwrap_or_else(PoisonError::into_inner));
         self.phase.send_replace(Phase::Draining);
         let mut ends = std::pin::pin!(join_all(tasks));
-        let ended = match timeout(patience, &mut ends).await {
-            Ok(ended) => ended,
-            Err(_) => {
-                self.phase.send_replace(Phase::GivingBack);
-                timeout(STOP_GRACE + GIVE_BACK_TIME, &mut ends).await.unwrap_or_default()
-            }
+        let ended = if let Ok(ended) = timeout(patience, &mut ends).await {
+            ended
+        } else {
+            self.phase.send_replace(Phase::GivingBack);
+            timeout(STOP_GRACE + GIVE_BACK_TIME, &mut ends).await.unwrap_or_default()
         };
         self.stop();
         Drained { given_back: ended.into_iter().map(Result::unwrap_or_default).sum() }

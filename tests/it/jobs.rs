@@ -1,7 +1,9 @@
-//! The life of jobs in the store and with workers, on SQLite in a directory of its own for each test.
+//! The life of jobs in the store and with workers: on SQLite, in a directory of its own for each test, or, when `TEST_DATABASE_URL`
+//! names a PostgreSQL server (`postgres://user@host/database`), in a database of its own.
 
 use ndarray::Array3;
 use sha2::{Digest, Sha256};
+use sqlx::{AssertSqlSafe, Connection, PgConnection};
 use std::{
     path::PathBuf,
     sync::{
@@ -24,16 +26,32 @@ use ventricle::{
     volume::{Grid, Volume},
 };
 
-/// A data directory that goes with the test.
-struct Place(PathBuf);
+/// Where the jobs of one test are kept: a directory that goes with it, or a database that stays.
+struct Place {
+    directory: PathBuf,
+    backend: Backend,
+}
 
 impl Place {
-    fn new() -> Self {
-        Self(std::env::temp_dir().join(format!("ventricle-jobs-{}", Uuid::now_v7())))
+    /// On the engine the environment asks for.
+    #[expect(clippy::disallowed_methods, reason = "which engine is tested is a matter of the test run, not of the program's settings")]
+    async fn new() -> Self {
+        let Ok(server) = std::env::var("TEST_DATABASE_URL") else { return Self::sqlite() };
+        let name = format!("ventricle_{}", Uuid::now_v7().simple());
+        let mut connection = PgConnection::connect(&server).await.unwrap();
+        sqlx::raw_sql(AssertSqlSafe(format!("CREATE DATABASE {name}"))).execute(&mut connection).await.unwrap();
+        let (server, _) = server.rsplit_once('/').unwrap();
+        Self { backend: Backend::Postgres { url: format!("{server}/{name}") }, directory: PathBuf::new() }
+    }
+
+    /// On SQLite, for what only a store without other processes can do.
+    fn sqlite() -> Self {
+        let directory = std::env::temp_dir().join(format!("ventricle-jobs-{}", Uuid::now_v7()));
+        Self { backend: Backend::Sqlite { directory: directory.clone() }, directory }
     }
 
     fn settings(&self) -> StoreSettings {
-        StoreSettings { backend: Backend::Sqlite { directory: self.0.clone() }, ..StoreSettings::default() }
+        StoreSettings { backend: self.backend.clone(), connections: 4, ..StoreSettings::default() }
     }
 
     async fn open(&self) -> Store {
@@ -43,7 +61,9 @@ impl Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.0).ok();
+        if matches!(self.backend, Backend::Sqlite { .. }) {
+            std::fs::remove_dir_all(&self.directory).ok();
+        }
     }
 }
 
@@ -121,7 +141,7 @@ async fn until_state(store: &Store, id: Uuid, state: State) -> Job {
 
 #[tokio::test]
 async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
     assert_eq!((job.state, job.queue_position, job.attempt, job.gates_total), (State::Queued, Some(1), 0, 4));
@@ -149,8 +169,8 @@ async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
     let blob = store.blob(job.id, "report").await.unwrap().unwrap();
     assert_eq!((blob.data.as_slice(), blob.media_type.as_str()), (job.id.to_string().as_bytes(), "application/json"));
     let large = store.blob(job.id, "gates/1/endocardial.glb").await.unwrap().unwrap();
-    let hash: String = Sha256::digest(&large.data).iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!((large.data.len(), large.sha256), (300_000, hash));
+    let hash = large.sha256.as_bytes().chunks(2).map(|hex| u8::from_str_radix(std::str::from_utf8(hex).unwrap(), 16).unwrap());
+    assert_eq!((large.data.len(), hash.collect::<Vec<_>>().as_slice()), (300_000, Sha256::digest(&large.data).as_slice()));
     assert_eq!(store.blob(job.id, "input").await.unwrap(), None, "the input of a finished job is deleted");
     assert_eq!(store.blob(job.id, "surfaces.glb").await.unwrap(), None);
     gate.send(()).unwrap();
@@ -161,7 +181,7 @@ async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
 
 #[tokio::test]
 async fn the_input_is_kept_when_asked_for() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = Store::open(StoreSettings { keep_input: true, ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
@@ -172,7 +192,7 @@ async fn the_input_is_kept_when_asked_for() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn the_same_key_and_request_is_the_same_job_however_many_race() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let keyed = || NewJob { idempotency_key: Some("key".into()), ..new_job() };
     let racing = (0..8).map(|_| {
@@ -197,7 +217,7 @@ async fn the_same_key_and_request_is_the_same_job_however_many_race() {
 
 #[tokio::test]
 async fn the_queue_is_limited_by_jobs_and_bytes_exactly() {
-    let place = Place::new();
+    let place = Place::new().await;
     let bytes = ventricle::jobs::input::encode(&study()).unwrap().len() as u64;
     let limits = StoreSettings { max_queued_jobs: 3, max_queued_bytes: 3 * bytes, ..place.settings() };
     let store = Store::open(limits.clone()).await.unwrap();
@@ -231,7 +251,7 @@ async fn the_queue_is_limited_by_jobs_and_bytes_exactly() {
 
 #[tokio::test]
 async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
     let Deletion::Cancelled(cancelled) = store.delete(job.id).await.unwrap() else { panic!("not cancelled") };
@@ -246,10 +266,10 @@ async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted() {
 
 #[tokio::test]
 async fn a_running_job_stops_within_a_second() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
-    let settings = WorkerSettings { work: endless(), heartbeat: Duration::from_secs(60), ..WorkerSettings::default() };
+    let settings = WorkerSettings { work: endless(), heartbeat: Duration::from_mins(1), ..WorkerSettings::default() };
     let _workers = start_workers(store.clone(), settings).unwrap();
     until_state(&store, job.id, State::Running).await;
     let asked = Instant::now();
@@ -262,7 +282,7 @@ async fn a_running_job_stops_within_a_second() {
 
 #[tokio::test]
 async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
     let claim = store.claim("test").await.unwrap().unwrap();
@@ -276,7 +296,7 @@ async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancel
 
 #[tokio::test]
 async fn what_comes_late_from_a_lost_attempt_is_refused() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = Store::open(StoreSettings { lease: Duration::from_millis(30), ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let first = store.claim("first").await.unwrap().unwrap();
@@ -303,7 +323,7 @@ async fn what_comes_late_from_a_lost_attempt_is_refused() {
 
 #[tokio::test]
 async fn a_job_that_loses_every_worker_fails_and_the_next_one_runs() {
-    let place = Place::new();
+    let place = Place::sqlite();
     let mut poison = None;
     for attempt in 1..=3 {
         let store = place.open().await;
@@ -329,7 +349,7 @@ async fn a_job_that_loses_every_worker_fails_and_the_next_one_runs() {
 
 #[tokio::test]
 async fn a_restart_continues_what_was_running() {
-    let place = Place::new();
+    let place = Place::sqlite();
     let store = place.open().await;
     let jobs = [submit(&store).await.id, submit(&store).await.id, submit(&store).await.id];
     let killed = workers(&store, endless());
@@ -360,7 +380,7 @@ async fn a_restart_continues_what_was_running() {
 
 #[tokio::test]
 async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let (bad, good, hopeless) = (submit(&store).await.id, submit(&store).await.id, submit(&store).await.id);
     let _workers = workers(
@@ -382,7 +402,7 @@ async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on() {
 
 #[tokio::test]
 async fn a_drain_waits_then_gives_back_uncharged() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let (long, waiting) = (submit(&store).await.id, submit(&store).await.id);
     for round in 1..=5 {
@@ -409,7 +429,7 @@ async fn a_drain_waits_then_gives_back_uncharged() {
 
 #[tokio::test]
 async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
     let deaf = workers(
@@ -428,7 +448,7 @@ async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain() {
 
 #[tokio::test]
 async fn a_directory_serves_one_store() {
-    let place = Place::new();
+    let place = Place::sqlite();
     let store = place.open().await;
     let second = StoreSettings { directory_wait: Duration::from_millis(200), ..place.settings() };
     let refused = Store::open(second.clone()).await.unwrap_err();
@@ -442,9 +462,43 @@ async fn a_directory_serves_one_store() {
     assert_eq!(store.counts().await.unwrap().queued, 1);
 }
 
+/// Not a test by itself: the other process of [`a_directory_serves_one_process`], which prints what opening the directory said.
+#[tokio::test]
+#[ignore = "run by a_directory_serves_one_process"]
+#[expect(clippy::disallowed_methods, reason = "how one test process tells the other where")]
+async fn open_as_another_process() {
+    let directory = PathBuf::from(std::env::var_os("VENTRICLE_TEST_DIRECTORY").unwrap());
+    let settings =
+        StoreSettings { backend: Backend::Sqlite { directory }, directory_wait: Duration::from_millis(200), ..StoreSettings::default() };
+    match Store::open(settings).await {
+        Ok(_) => println!("opened"),
+        Err(error) => println!("refused: {error}"),
+    }
+}
+
+#[tokio::test]
+async fn a_directory_serves_one_process() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let open = || {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "jobs::open_as_another_process", "--ignored", "--nocapture"])
+            .env("VENTRICLE_TEST_DIRECTORY", &place.directory)
+            .output()
+            .unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let refused = open();
+    assert!(refused.contains("refused:") && refused.contains("is in use by another process"), "{refused}");
+    submit(&store).await;
+    store.close().await;
+    let opened = open();
+    assert!(opened.contains("opened"), "{opened}");
+}
+
 #[tokio::test]
 async fn lists_are_newest_first_in_pages_and_filtered() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let mut ids = Vec::new();
     for number in 0..7 {
@@ -475,8 +529,8 @@ async fn lists_are_newest_first_in_pages_and_filtered() {
 
 #[tokio::test]
 async fn waiting_ends_with_a_change_the_time_or_the_job() {
-    let place = Place::new();
-    let store = Store::open(StoreSettings { poll: Duration::from_secs(60), ..place.settings() }).await.unwrap();
+    let place = Place::new().await;
+    let store = Store::open(StoreSettings { poll: Duration::from_mins(1), ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let began = Instant::now();
     let same = store.wait_for_change(job.id, job.version, Duration::from_millis(100)).await.unwrap().unwrap();
@@ -501,7 +555,7 @@ async fn waiting_ends_with_a_change_the_time_or_the_job() {
 
 #[tokio::test]
 async fn the_rate_is_measured_and_survives_a_restart() {
-    let place = Place::new();
+    let place = Place::new().await;
     let store = place.open().await;
     let job = submit(&store).await;
     assert_eq!(job.eta_seconds, None, "nothing was measured yet");
