@@ -245,16 +245,6 @@ impl IntakeError {
         }
     }
 
-    /// A text from a file or a client, fit for a sentence: short, without control characters.
-    pub(super) fn shown(text: &str) -> String {
-        const MOST_CHARACTERS: usize = 200;
-        let mut shown: String = text.chars().take(MOST_CHARACTERS).map(|c| if c.is_control() { '?' } else { c }).collect();
-        if text.chars().nth(MOST_CHARACTERS).is_some() {
-            shown.push('…');
-        }
-        shown
-    }
-
     /// What kind of refusal it is.
     pub fn nature(&self) -> Nature {
         match self {

@@ -32,15 +32,16 @@ pub(super) fn read(bytes: &[u8], options: &Options, limits: &Limits) -> Result<S
     };
     let sample_bytes = usize::from(header.descr.as_bytes()[2] - b'0');
     counts::check_extent(gates, shape, limits)?;
-    let spacing_mm = options.spacing_mm.ok_or(IntakeError::MissingSpacing)?;
-    counts::check_spacing(spacing_mm, limits)?;
-    let grid = Grid { shape, spacing_mm };
-    let expected = gates * grid.voxels() * sample_bytes;
+    let gate_bytes = shape.iter().product::<usize>() * sample_bytes;
+    let expected = gates * gate_bytes;
     if data.len() != expected {
         return Err(malformed(format!("its shape {:?} needs {expected} bytes of data, and {} are there", header.shape, data.len())));
     }
+    let spacing_mm = options.spacing_mm.ok_or(IntakeError::MissingSpacing)?;
+    counts::check_spacing(spacing_mm, limits)?;
+    let grid = Grid { shape, spacing_mm };
     let volumes = data
-        .chunks_exact(grid.voxels() * sample_bytes)
+        .chunks_exact(gate_bytes)
         .map(|gate| {
             let values = gate.chunks_exact(sample_bytes).map(|value| read(value) as f32).collect();
             Array3::from_shape_vec(shape, values).map_err(|error| malformed(error.to_string()))

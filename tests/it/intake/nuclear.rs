@@ -140,7 +140,7 @@ fn every_encoding_gives_the_same_study() {
         assert!(explicit == other, "{syntax:?}");
     }
     let mut elements = gated(&standard(), Syntax::Rle);
-    let fragments = standard().iter().map(|frame| rle(&pixels(&[*frame], false)));
+    let fragments = standard().into_iter().map(|frame| rle(&pixels(&[frame], false)));
     let value = Value::Fragments(std::iter::once(Vec::new()).chain(fragments).collect());
     elements.retain(|element| element.tag.0 != 0x7FE0);
     elements.push(Element { tag: (0x7FE0, 0x10), vr: "OB", value });
