@@ -79,19 +79,19 @@ pub fn evolve(border: &Border, flow: &Flow, grid: &Grid, parameters: &Parameters
     }
     let mut mesh = Mesh { positions: particles.positions, triangles: seed.triangles };
     if deform.smoothing {
-        smooth_whole(&mut mesh, &joined);
+        smooth_whole(&mut mesh, &joined, smooth::final_passes(parameters.mesh.level));
     }
     Ok(Evolved { mesh, steps, frozen: frozen_count as f64 / count as f64 })
 }
 
 /// The final smoothing: again while a triangle is inverted, up to four times.
-fn smooth_whole(mesh: &mut Mesh, joined: &[Vec<u32>]) {
+fn smooth_whole(mesh: &mut Mesh, joined: &[Vec<u32>], passes: usize) {
     const MOST_ROUNDS: usize = 4;
     for round in 0..MOST_ROUNDS {
         if round > 0 && mesh.inverted_triangles(mesh.centroid()) == 0 {
             break;
         }
-        for _ in 0..smooth::FINAL_PASSES {
+        for _ in 0..passes {
             smooth::taubin(&mut mesh.positions, joined, |_| true);
         }
     }

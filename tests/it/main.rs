@@ -11,4 +11,6 @@ mod phantom;
 mod pipeline;
 mod report;
 mod restart;
+mod served;
+mod shared;
 mod surfaces;
