@@ -337,7 +337,7 @@ async fn take_lock(pool: &Pool<Sqlite>) -> Result<(), sqlx::Error> {
 /// Whether the error says that someone else has the database.
 fn is_locked(error: &sqlx::Error) -> bool {
     // SQLITE_BUSY and SQLITE_LOCKED with their extended codes (https://www.sqlite.org/rescode.html): the primary code is the low byte.
-    let code = error.as_database_error().and_then(|error| error.code()).and_then(|code| code.parse::<u32>().ok());
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code).and_then(|code| code.parse::<u32>().ok());
     code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
 }
 
