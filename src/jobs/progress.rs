@@ -1,10 +1,7 @@
 //! How a running reconstruction is watched and stopped: the [`Monitor`] the worker gives to the pipeline. Here is the clock the pipeline
 //! does not have.
 
-use crate::pipeline::{
-    Surface,
-    monitor::{Monitor, Stage},
-};
+use crate::pipeline::monitor::{Monitor, Stage};
 use std::{
     collections::{BTreeMap, HashMap},
     sync::{
@@ -40,8 +37,6 @@ struct Timeline {
     /// By thread too, since both surfaces of a gate are in the same stage at once; a list, since a thread that waits for one surface may
     /// begin the other's.
     under_way: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
-    /// How many surfaces of each gate are measured.
-    measured: HashMap<usize, usize>,
     stages_ms: BTreeMap<Stage, f64>,
 }
 
@@ -89,10 +84,6 @@ impl Monitor for Progress {
         if let Some(began) = state.under_way.get_mut(&(stage, gate, thread::current().id())).and_then(Vec::pop) {
             *state.stages_ms.entry(stage).or_default() += began.elapsed().as_secs_f64() * 1e3;
         }
-        if let (Stage::Measurement, Some(gate)) = (stage, gate) {
-            *state.measured.entry(gate).or_default() += 1;
-            state.snapshot.gates_done = state.measured.values().filter(|&&surfaces| surfaces >= Surface::BOTH.len()).count() as u64;
-        }
     }
 
     fn advance(&self, done: usize, total: usize) {
@@ -102,6 +93,8 @@ impl Monitor for Progress {
         let fraction = (done as f64 / total as f64).min(1.0);
         let mut state = self.state();
         state.snapshot.fraction = state.snapshot.fraction.max(fraction);
+        // The pipeline's unit of work is the gate. The stages of a gate run once a surface, so they do not tell when it is done.
+        state.snapshot.gates_done = state.snapshot.gates_done.max(done as u64);
     }
 
     fn is_cancelled(&self) -> bool {
@@ -122,10 +115,7 @@ mod tests {
         progress.end(Stage::Edges, Some(0));
         progress.begin(Stage::Measurement, Some(0));
         progress.end(Stage::Measurement, Some(0));
-        assert_eq!(progress.snapshot().gates_done, 0, "one surface of two");
-        progress.begin(Stage::Measurement, Some(0));
-        progress.end(Stage::Measurement, Some(0));
-        assert_eq!(progress.snapshot(), Snapshot { fraction: 0.375, stage: Some(Stage::Measurement), gates_done: 1 });
+        assert_eq!(progress.snapshot(), Snapshot { fraction: 0.375, stage: Some(Stage::Measurement), gates_done: 3 });
         assert_eq!(progress.stages_ms().keys().collect::<Vec<_>>(), ["edges", "measurement"]);
         assert!(!progress.is_cancelled());
         progress.cancel();
