@@ -246,7 +246,7 @@ mod tests {
         }
         Zip::from(&mut volume.counts).and(&known.member).for_each(|count, &inside| {
             if !inside {
-                *count = 0.0
+                *count = 0.0;
             }
         });
         let parameters = Parameters::paper().edges;

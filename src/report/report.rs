@@ -190,6 +190,8 @@ pub struct Myocardium {
 pub struct RegionSummary {
     /// Centre `[x, y]` in mm from the centre of the first voxel, along columns and rows.
     pub centre_mm: [f64; 2],
+    /// How far the centre moves `[x, y]` a mm of z: the tilt of the ventricle's axis against the stack.
+    pub axis_slope: [f64; 2],
     /// Radius of the filtering circle in mm.
     pub radius_mm: f64,
     /// First useful slice, counted from 1.
@@ -372,8 +374,8 @@ impl From<&Fit> for FitSummary {
 
 impl From<Region> for RegionSummary {
     fn from(region: Region) -> Self {
-        let Region { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice } = region;
-        Self { centre_mm, radius_mm, first_slice, last_slice, base_at_last_slice }
+        let Region { centre_mm, axis_slope, radius_mm, first_slice, last_slice, base_at_last_slice } = region;
+        Self { centre_mm, axis_slope, radius_mm, first_slice, last_slice, base_at_last_slice }
     }
 }
 
