@@ -141,8 +141,7 @@ impl Database {
 
     /// That the linked SQLite is recent enough and took the settings durability rests on.
     async fn check_sqlite(&self) -> Result<(), StoreError> {
-        let answer = |row: Option<Row>| row.map_or(Ok(String::new()), |row| row.get(0));
-        let found = answer(self.fetch_one("SELECT sqlite_version()", vec![]).await?)?;
+        let found = self.text("SELECT sqlite_version()").await?;
         let (required, least) = LEAST_SQLITE;
         if version(&found).is_none_or(|version| version < least) {
             return Err(StoreError::SqliteTooOld { found, required });
@@ -153,12 +152,18 @@ impl Database {
             ("locking_mode = exclusive", "SELECT locking_mode FROM pragma_locking_mode()", "exclusive"),
             ("foreign_keys = on", "SELECT CAST(foreign_keys AS TEXT) FROM pragma_foreign_keys()", "1"),
         ] {
-            let found = answer(self.fetch_one(sql, vec![]).await?)?;
+            let found = self.text(sql).await?;
             if found != wanted {
                 return Err(StoreError::Setting { setting, found });
             }
         }
         Ok(())
+    }
+
+    /// The one text a query gives.
+    async fn text(&self, sql: &str) -> Result<String, StoreError> {
+        let row = self.fetch_one(sql, vec![]).await?;
+        row.map_or(Ok(String::new()), |row| row.get(0))
     }
 
     /// Whether several processes may share the database.
@@ -332,11 +337,24 @@ async fn take_lock(pool: &Pool<Sqlite>) -> Result<(), sqlx::Error> {
 /// Whether the error says that someone else has the database.
 fn is_locked(error: &sqlx::Error) -> bool {
     // SQLITE_BUSY and SQLITE_LOCKED with their extended codes (https://www.sqlite.org/rescode.html): the primary code is the low byte.
-    let code = error.as_database_error().and_then(|error| error.code()).and_then(|code| code.parse::<u32>().ok());
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code).and_then(|code| code.parse::<u32>().ok());
     code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
 }
 
 fn version(text: &str) -> Option<[u32; 3]> {
     let mut parts = text.split('.').map(|part| part.parse().ok());
     Some([parts.next()??, parts.next()??, parts.next()??])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_compared_by_number() {
+        let recent = |text: &str| version(text).is_some_and(|version| version >= LEAST_SQLITE.1);
+        assert!(recent("3.51.3") && recent("3.100.0") && recent("4.0.0"));
+        assert!(!recent("3.51.2") && !recent("3.9.9") && !recent("") && !recent("3.51"));
+        assert_eq!(version(LEAST_SQLITE.0), Some(LEAST_SQLITE.1));
+    }
 }

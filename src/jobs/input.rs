@@ -84,7 +84,8 @@ pub fn encode(study: &Study) -> Result<Vec<u8>, InputError> {
     Ok(bytes)
 }
 
-/// The study in these bytes, equal to the one encoded to the last bit.
+/// The study in these bytes. Counts are equal to those encoded to the last bit; the numbers of the header as `serde_json` reads them
+/// (without its feature `float_roundtrip` some of seventeen digits differ in the last bit).
 pub fn decode(bytes: &[u8]) -> Result<Study, InputError> {
     let rest = bytes.strip_prefix(&MAGIC).ok_or(InputError::Magic)?;
     let (length, rest) = rest.split_first_chunk::<4>().ok_or(InputError::Magic)?;

@@ -12,7 +12,7 @@ use super::{
     store::{INPUT, Store, finished, insert_blob, parse_id, sha256},
     work::Output,
 };
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 use uuid::Uuid;
 
 /// Pause before a job whose worker was lost is tried again, times the attempts so far.
@@ -47,7 +47,7 @@ pub enum Heartbeat {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
     /// With these results.
-    Succeeded(Vec<Output>),
+    Succeeded(Arc<[Output]>),
     /// The same input would fail again.
     Failed(JobError),
     /// It stopped because it was asked to.
@@ -124,14 +124,14 @@ impl Store {
     pub async fn finish(&self, claim: &Claim, outcome: Outcome, last: &Snapshot) -> Result<Finish, StoreError> {
         let (wanted, outputs, error) = match outcome {
             Outcome::Succeeded(outputs) => (State::Succeeded, outputs, None),
-            Outcome::Failed(error) => (State::Failed, Vec::new(), Some(error)),
-            Outcome::Cancelled => (State::Cancelled, Vec::new(), None),
+            Outcome::Failed(error) => (State::Failed, Arc::default(), Some(error)),
+            Outcome::Cancelled => (State::Cancelled, Arc::default(), None),
         };
         let error = error.map(|error| serde_json::to_string(&error)).transpose().unwrap_or_default();
-        let outputs =
-            tokio::task::spawn_blocking(move || outputs.into_iter().map(|output| (sha256(&output.data), output)).collect::<Vec<_>>())
-                .await
-                .map_err(|_| StoreError::Interrupted)?;
+        let hashed = Arc::clone(&outputs);
+        let hashes = tokio::task::spawn_blocking(move || hashed.iter().map(|output| sha256(&output.data)).collect::<Vec<_>>())
+            .await
+            .map_err(|_| StoreError::Interrupted)?;
         let sql = self.inner.database.render(
             "UPDATE jobs SET state = CASE WHEN cancel_requested THEN 'cancelled' ELSE $3 END,
                 error = CASE WHEN cancel_requested THEN NULL ELSE $4 END,
@@ -146,8 +146,8 @@ impl Store {
         let state = State::from_name(&row.get::<String>(0)?).unwrap_or(wanted);
         let duration_s = row.get::<i64>(1)?.max(0) as f64 / 1e3;
         if state == State::Succeeded {
-            for (sha256, output) in outputs {
-                insert_blob(&mut transaction, claim.id, &output.name, output.media_type, sha256, output.data).await?;
+            for (output, sha256) in outputs.iter().zip(hashes) {
+                insert_blob(&mut transaction, claim.id, &output.name, output.media_type, sha256, output.data.clone()).await?;
             }
         }
         self.drop_input(&mut transaction, claim.id).await?;

@@ -8,7 +8,8 @@
 //! | file | what it is |
 //! |---|---|
 //! | `job.rs` | what a caller sees of a job |
-//! | [`store`] | the rows: submit, read, list, delete |
+//! | [`store`] | the rows: read, list, delete |
+//! | `submit.rs` | how a job is accepted |
 //! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
@@ -28,7 +29,9 @@ mod progress;
 mod queue;
 mod reaper;
 mod schema;
+mod settings;
 pub mod store;
+mod submit;
 mod watch;
 pub mod work;
 mod worker;
@@ -38,6 +41,7 @@ pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, St
 pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
 pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;
-pub use store::{Backend, Store, StoreSettings};
+pub use settings::{Backend, StoreSettings};
+pub use store::Store;
 pub use work::{Output, Work, WorkError};
 pub use worker::{Drained, WorkerSettings, Workers, start_workers};

@@ -1,20 +1,20 @@
-//! The rows of the jobs and their data, as callers see them: submit, read, list, delete. The worker's side is in `lease.rs`.
+//! The rows of the jobs and their data, as callers see them: read, list, delete. Acceptance is in `submit.rs`, the worker's side in
+//! `lease.rs`.
 
 use super::{
     database::{Database, Row, Transaction, values},
-    error::{QueueFull, StoreError, SubmitError},
-    input,
-    job::{Blob, Counts, Deletion, Job, ListQuery, NewJob, Page, State, Submitted},
+    error::{QueueFull, StoreError},
+    job::{Blob, Counts, Deletion, Job, ListQuery, Page, State},
     progress::Progress,
     queue::{Load, Queue, Reservation},
     schema,
+    settings::{Backend, StoreSettings},
     watch::Watchers,
 };
 use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::{
     collections::HashMap,
-    path::PathBuf,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
@@ -34,74 +34,6 @@ const SELECT: &str = "
                 AND (ahead.priority > jobs.priority OR (ahead.priority = jobs.priority AND ahead.id <= jobs.id))
         ) END AS queue_position
     FROM jobs";
-
-/// Where jobs are kept.
-#[derive(Clone, PartialEq, Eq)]
-pub enum Backend {
-    /// An embedded database in this directory, made if it is not there. One process only.
-    Sqlite {
-        /// The data directory.
-        directory: PathBuf,
-    },
-    /// A PostgreSQL database any number of nodes share.
-    Postgres {
-        /// `postgres://user:password@host/database`.
-        url: String,
-    },
-}
-
-impl std::fmt::Debug for Backend {
-    /// Without the URL, which may hold a password.
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Sqlite { directory } => formatter.debug_struct("Sqlite").field("directory", directory).finish(),
-            Self::Postgres { .. } => formatter.debug_struct("Postgres").finish_non_exhaustive(),
-        }
-    }
-}
-
-/// Everything about a store that can be chosen.
-#[derive(Debug, Clone)]
-pub struct StoreSettings {
-    /// Where jobs are kept.
-    pub backend: Backend,
-    /// Most jobs waiting for a worker.
-    pub max_queued_jobs: u64,
-    /// Most bytes of input waiting for a worker.
-    pub max_queued_bytes: u64,
-    /// Claims of a job before it is given up as `worker_lost`.
-    pub max_attempts: u32,
-    /// How long a worker may hold a job without a heartbeat.
-    pub lease: Duration,
-    /// Whether the input of a finished job is kept.
-    pub keep_input: bool,
-    /// How long to wait for another process to leave the data directory.
-    pub directory_wait: Duration,
-    /// How often changes made by other processes are looked for while waiting.
-    pub poll: Duration,
-    /// Connections to PostgreSQL (SQLite has one).
-    pub connections: u32,
-}
-
-impl Default for StoreSettings {
-    /// An embedded database in `./data`.
-    fn default() -> Self {
-        Self {
-            backend: Backend::Sqlite { directory: PathBuf::from("data") },
-            // A thousand eight-gate studies are an hour of work for two cores and 1.6 GB of input.
-            max_queued_jobs: 1000,
-            max_queued_bytes: 4 << 30,
-            max_attempts: 3,
-            // Six heartbeats: one late answer of a busy disk costs no job.
-            lease: Duration::from_secs(30),
-            keep_input: false,
-            // A service manager may start the next process while the last one still closes its files.
-            directory_wait: Duration::from_secs(5),
-            poll: Duration::from_secs(1),
-            connections: 10,
-        }
-    }
-}
 
 /// The store of one process. Clones share it.
 #[derive(Debug, Clone)]
@@ -156,38 +88,6 @@ impl Store {
         self.inner.queue.reserve(bytes)
     }
 
-    /// Stores a job. When this returns, the job is committed to disk. Runs to its end even if the caller goes away.
-    pub async fn submit(&self, reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
-        let store = self.clone();
-        tokio::spawn(async move { store.submit_to_end(reservation, new).await }).await.map_err(|_| StoreError::Interrupted)?
-    }
-
-    async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
-        let (owner, key, hash) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash);
-        let row = tokio::task::spawn_blocking(move || NewRow::prepare(new)).await.map_err(|_| StoreError::Interrupted)??;
-        let (id, bytes) = (row.id, row.input.len() as u64);
-        let mut transaction = self.inner.database.begin().await?;
-        // Where processes share the database, submissions go one by one: the limits are exact.
-        transaction.fetch(&self.inner.database.render("{lock_queue}"), vec![]).await?;
-        if let Some(key) = &key
-            && let Some(existing) = existing(&mut transaction, &owner, key, &hash).await?
-        {
-            return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
-        }
-        reservation.resize(bytes)?;
-        let queued = queued(&mut transaction).await?;
-        if !self.inner.queue.within_limit(Load { jobs: queued.jobs + 1, bytes: queued.bytes.saturating_add(bytes) }) {
-            return Err(self.inner.queue.full().into());
-        }
-        row.insert(self, &mut transaction).await?;
-        let job = self.get_in(&mut transaction, id).await?;
-        transaction.commit().await?;
-        reservation.into_queued(bytes);
-        self.inner.work_ready.notify_one();
-        metrics::counter!("ventricle_jobs_submitted_total").increment(1);
-        Ok(Submitted::Created(job))
-    }
-
     /// A job.
     pub async fn get(&self, id: Uuid) -> Result<Option<Job>, StoreError> {
         let sql = format!("{SELECT} WHERE id = $1");
@@ -195,7 +95,7 @@ impl Store {
     }
 
     /// A job that is known to be there.
-    async fn get_in(&self, transaction: &mut Transaction, id: Uuid) -> Result<Job, StoreError> {
+    pub(super) async fn get_in(&self, transaction: &mut Transaction, id: Uuid) -> Result<Job, StoreError> {
         let sql = self.inner.database.render(&format!("{SELECT} WHERE id = $1"));
         match transaction.fetch_one(&sql, values![id]).await? {
             Some(row) => self.job(&row),
@@ -386,47 +286,7 @@ impl Store {
     }
 }
 
-/// A job about to be inserted.
-struct NewRow {
-    id: Uuid,
-    new: NewJob,
-    parameters: String,
-    input: Vec<u8>,
-    sha256: String,
-}
-
-impl NewRow {
-    fn prepare(new: NewJob) -> Result<Self, StoreError> {
-        let damaged = |error: &dyn std::fmt::Display| StoreError::Damaged { what: format!("a study cannot be stored: {error}") };
-        let input = input::encode(&new.study).map_err(|error| damaged(&error))?;
-        let parameters = serde_json::to_string(&new.parameters).map_err(|error| damaged(&error))?;
-        let sha256 = sha256(&input);
-        Ok(Self { id: Uuid::now_v7(), new, parameters, input, sha256 })
-    }
-
-    async fn insert(self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
-        let sql = store.inner.database.render(
-            "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
-                max_attempts, run_after, gates_total, created_at)
-            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now})",
-        );
-        let size = self.input.len() as i64;
-        let values = values![
-            self.id,
-            self.new.owner,
-            self.new.idempotency_key,
-            self.new.request_hash.to_vec(),
-            self.parameters,
-            self.new.study.acquisition.study_instance_uid,
-            size,
-            i64::from(store.inner.settings.max_attempts),
-            self.new.study.gates.len() as i64,
-        ];
-        transaction.execute(&sql, values).await?;
-        insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await
-    }
-}
-
+/// Stores one blob of a job.
 pub(super) async fn insert_blob(
     transaction: &mut Transaction,
     job_id: Uuid,
@@ -437,23 +297,6 @@ pub(super) async fn insert_blob(
 ) -> Result<(), StoreError> {
     let sql = "INSERT INTO blobs (job_id, name, media_type, sha256, size, data) VALUES ($1, $2, $3, $4, $5, $6)";
     transaction.execute(sql, values![job_id, name, media_type, sha256, data.len() as i64, data]).await.map(drop)
-}
-
-/// The job an owner made under a key, if the request was the same.
-async fn existing(transaction: &mut Transaction, owner: &str, key: &str, hash: &[u8; 32]) -> Result<Option<Uuid>, SubmitError> {
-    let sql = "SELECT id, request_hash FROM jobs WHERE owner = $1 AND idempotency_key = $2";
-    let Some(row) = transaction.fetch_one(sql, values![owner, key]).await? else { return Ok(None) };
-    if row.get::<Vec<u8>>(1)? != hash {
-        return Err(SubmitError::KeyReused);
-    }
-    Ok(Some(parse_id(&row.get::<String>(0)?)?))
-}
-
-/// What is queued, by the rows.
-async fn queued(transaction: &mut Transaction) -> Result<Load, StoreError> {
-    let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(input_bytes), 0) AS BIGINT) FROM jobs WHERE state = 'queued'";
-    let row = transaction.fetch_one(sql, vec![]).await?;
-    row.map_or(Ok(Load::default()), |row| Ok(Load { jobs: row.get::<i64>(0)? as u64, bytes: row.get::<i64>(1)? as u64 }))
 }
 
 /// Durations in s of the jobs that succeeded last, latest first.

@@ -362,7 +362,7 @@ fn flatten(ended: Result<Result<Result<Vec<Output>, WorkError>, String>, oneshot
 
 fn outcome(result: Result<Vec<Output>, WorkError>) -> Outcome {
     match result {
-        Ok(outputs) => Outcome::Succeeded(outputs),
+        Ok(outputs) => Outcome::Succeeded(outputs.into()),
         Err(WorkError::Cancelled) => Outcome::Cancelled,
         Err(WorkError::Failed { code, message }) => {
             tracing::info!(code, "the study could not be reconstructed");

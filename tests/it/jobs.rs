@@ -3,7 +3,7 @@
 
 use ndarray::Array3;
 use sha2::{Digest, Sha256};
-use sqlx::{AssertSqlSafe, Connection, PgConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, PgConnection, sqlite::SqliteConnectOptions};
 use std::{
     path::PathBuf,
     sync::{
@@ -289,7 +289,7 @@ async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancel
     assert_eq!(store.heartbeat(&claim, None).await.unwrap(), Heartbeat::Held { cancel: false });
     store.delete(job.id).await.unwrap();
     assert_eq!(store.heartbeat(&claim, None).await.unwrap(), Heartbeat::Held { cancel: true });
-    let results = Outcome::Succeeded(vec![output("report", b"{}")]);
+    let results = Outcome::Succeeded([output("report", b"{}")].into());
     assert_eq!(store.finish(&claim, results, &Snapshot::default()).await.unwrap(), Finish::Done(State::Cancelled));
     assert_eq!(store.blob(job.id, "report").await.unwrap(), None);
 }
@@ -310,7 +310,7 @@ async fn what_comes_late_from_a_lost_attempt_is_refused() {
     assert_eq!((first.id, first.attempt, second.id, second.attempt), (job.id, 1, job.id, 2));
 
     let news = Snapshot { fraction: 0.9, ..Snapshot::default() };
-    let results = |data: &[u8]| Outcome::Succeeded(vec![output("report", data)]);
+    let results = |data: &[u8]| Outcome::Succeeded([output("report", data)].into());
     assert_eq!(store.heartbeat(&first, Some(&news)).await.unwrap(), Heartbeat::Lost);
     assert_eq!(store.finish(&first, results(b"first"), &news).await.unwrap(), Finish::Lost);
     assert!(!store.give_back(&first).await.unwrap());
@@ -494,6 +494,34 @@ async fn a_directory_serves_one_process() {
     store.close().await;
     let opened = open();
     assert!(opened.contains("opened"), "{opened}");
+}
+
+#[tokio::test]
+async fn damaged_data_and_a_later_schema_are_noticed() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let job = submit(&store).await;
+    let claim = store.claim("test").await.unwrap().unwrap();
+    let results = Outcome::Succeeded([output("report", b"{}"), output("surfaces.glb", b"glTF")].into());
+    store.finish(&claim, results, &Snapshot::default()).await.unwrap();
+    store.close().await;
+    tamper(&place, "UPDATE blobs SET data = x'7b7c' WHERE name = 'report'").await;
+    let store = place.open().await;
+    let damaged = store.blob(job.id, "report").await.unwrap_err();
+    assert!(matches!(damaged, StoreError::Damaged { .. }), "{damaged}");
+    assert_eq!(store.blob(job.id, "surfaces.glb").await.unwrap().unwrap().data, b"glTF");
+    store.close().await;
+    tamper(&place, "UPDATE schema_version SET version = 99").await;
+    let later = Store::open(place.settings()).await.unwrap_err();
+    assert!(matches!(later, StoreError::SchemaTooNew { found: 99, .. }), "{later}");
+}
+
+/// Changes the database behind the store's back.
+async fn tamper(place: &Place, sql: &'static str) {
+    let options = SqliteConnectOptions::new().filename(place.directory.join("ventricle.sqlite"));
+    let mut connection = options.connect().await.unwrap();
+    assert!(sqlx::raw_sql(sql).execute(&mut connection).await.unwrap().rows_affected() > 0);
+    connection.close().await.unwrap();
 }
 
 #[tokio::test]

@@ -1,0 +1,71 @@
+//! What can be chosen about a store.
+
+use std::{path::PathBuf, time::Duration};
+
+/// Where jobs are kept.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Backend {
+    /// An embedded database in this directory, made if it is not there. One process only.
+    Sqlite {
+        /// The data directory.
+        directory: PathBuf,
+    },
+    /// A PostgreSQL database any number of nodes share.
+    Postgres {
+        /// `postgres://user:password@host/database`.
+        url: String,
+    },
+}
+
+impl std::fmt::Debug for Backend {
+    /// Without the URL, which may hold a password.
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Sqlite { directory } => formatter.debug_struct("Sqlite").field("directory", directory).finish(),
+            Self::Postgres { .. } => formatter.debug_struct("Postgres").finish_non_exhaustive(),
+        }
+    }
+}
+
+/// Everything about a store that can be chosen.
+#[derive(Debug, Clone)]
+pub struct StoreSettings {
+    /// Where jobs are kept.
+    pub backend: Backend,
+    /// Most jobs waiting for a worker.
+    pub max_queued_jobs: u64,
+    /// Most bytes of input waiting for a worker.
+    pub max_queued_bytes: u64,
+    /// Claims of a job before it is given up as `worker_lost`.
+    pub max_attempts: u32,
+    /// How long a worker may hold a job without a heartbeat.
+    pub lease: Duration,
+    /// Whether the input of a finished job is kept.
+    pub keep_input: bool,
+    /// How long to wait for another process to leave the data directory.
+    pub directory_wait: Duration,
+    /// How often changes made by other processes are looked for while waiting.
+    pub poll: Duration,
+    /// Connections to PostgreSQL (SQLite has one).
+    pub connections: u32,
+}
+
+impl Default for StoreSettings {
+    /// An embedded database in `./data`.
+    fn default() -> Self {
+        Self {
+            backend: Backend::Sqlite { directory: PathBuf::from("data") },
+            // A thousand eight-gate studies are an hour of work for two cores and 1.6 GB of input.
+            max_queued_jobs: 1000,
+            max_queued_bytes: 4 << 30,
+            max_attempts: 3,
+            // Six heartbeats: one late answer of a busy disk costs no job.
+            lease: Duration::from_secs(30),
+            keep_input: false,
+            // A service manager may start the next process while the last one still closes its files.
+            directory_wait: Duration::from_secs(5),
+            poll: Duration::from_secs(1),
+            connections: 10,
+        }
+    }
+}

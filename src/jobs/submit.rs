@@ -1,0 +1,103 @@
+//! How a job is accepted: its row and its input in one transaction, within the limits, once for each key.
+
+use super::{
+    database::{Transaction, values},
+    error::{StoreError, SubmitError},
+    input,
+    job::{NewJob, Submitted},
+    queue::{Load, Reservation},
+    store::{INPUT, Store, insert_blob, parse_id, sha256},
+};
+use uuid::Uuid;
+
+impl Store {
+    /// Stores a job. When this returns, the job is committed to disk. Runs to its end even if the caller goes away.
+    pub async fn submit(&self, reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
+        let store = self.clone();
+        tokio::spawn(async move { store.submit_to_end(reservation, new).await }).await.map_err(|_| StoreError::Interrupted)?
+    }
+
+    async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
+        let (owner, key, hash) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash);
+        let row = tokio::task::spawn_blocking(move || NewRow::prepare(new)).await.map_err(|_| StoreError::Interrupted)??;
+        let (id, bytes) = (row.id, row.input.len() as u64);
+        let mut transaction = self.inner.database.begin().await?;
+        // Where processes share the database, submissions go one by one: the limits are exact.
+        transaction.fetch(&self.inner.database.render("{lock_queue}"), vec![]).await?;
+        if let Some(key) = &key
+            && let Some(existing) = existing(&mut transaction, &owner, key, &hash).await?
+        {
+            return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
+        }
+        reservation.resize(bytes)?;
+        let queued = queued(&mut transaction).await?;
+        if !self.inner.queue.within_limit(Load { jobs: queued.jobs + 1, bytes: queued.bytes.saturating_add(bytes) }) {
+            return Err(self.inner.queue.full().into());
+        }
+        row.insert(self, &mut transaction).await?;
+        let job = self.get_in(&mut transaction, id).await?;
+        transaction.commit().await?;
+        reservation.into_queued(bytes);
+        self.inner.work_ready.notify_one();
+        metrics::counter!("ventricle_jobs_submitted_total").increment(1);
+        Ok(Submitted::Created(job))
+    }
+}
+
+/// A job about to be inserted.
+struct NewRow {
+    id: Uuid,
+    new: NewJob,
+    parameters: String,
+    input: Vec<u8>,
+    sha256: String,
+}
+
+impl NewRow {
+    fn prepare(new: NewJob) -> Result<Self, StoreError> {
+        let damaged = |error: &dyn std::fmt::Display| StoreError::Damaged { what: format!("a study cannot be stored: {error}") };
+        let input = input::encode(&new.study).map_err(|error| damaged(&error))?;
+        let parameters = serde_json::to_string(&new.parameters).map_err(|error| damaged(&error))?;
+        let sha256 = sha256(&input);
+        Ok(Self { id: Uuid::now_v7(), new, parameters, input, sha256 })
+    }
+
+    async fn insert(self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
+        let sql = store.inner.database.render(
+            "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
+                max_attempts, run_after, gates_total, created_at)
+            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now})",
+        );
+        let size = self.input.len() as i64;
+        let values = values![
+            self.id,
+            self.new.owner,
+            self.new.idempotency_key,
+            self.new.request_hash.to_vec(),
+            self.parameters,
+            self.new.study.acquisition.study_instance_uid,
+            size,
+            i64::from(store.inner.settings.max_attempts),
+            self.new.study.gates.len() as i64,
+        ];
+        transaction.execute(&sql, values).await?;
+        insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await
+    }
+}
+
+/// The job an owner made under a key, if the request was the same.
+async fn existing(transaction: &mut Transaction, owner: &str, key: &str, hash: &[u8; 32]) -> Result<Option<Uuid>, SubmitError> {
+    let sql = "SELECT id, request_hash FROM jobs WHERE owner = $1 AND idempotency_key = $2";
+    let Some(row) = transaction.fetch_one(sql, values![owner, key]).await? else { return Ok(None) };
+    if row.get::<Vec<u8>>(1)? != hash {
+        return Err(SubmitError::KeyReused);
+    }
+    Ok(Some(parse_id(&row.get::<String>(0)?)?))
+}
+
+/// What is queued, by the rows.
+async fn queued(transaction: &mut Transaction) -> Result<Load, StoreError> {
+    let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(input_bytes), 0) AS BIGINT) FROM jobs WHERE state = 'queued'";
+    let row = transaction.fetch_one(sql, vec![]).await?;
+    row.map_or(Ok(Load::default()), |row| Ok(Load { jobs: row.get::<i64>(0)? as u64, bytes: row.get::<i64>(1)? as u64 }))
+}
