@@ -4,9 +4,9 @@ use std::io::Write as _;
 
 /// Arguments of `ventricle openapi`.
 #[derive(clap::Args)]
-pub struct Args {}
+pub(crate) struct Args {}
 
 /// Prints the OpenAPI document.
-pub fn run(_args: Args) -> anyhow::Result<()> {
+pub(crate) fn run(_args: Args) -> anyhow::Result<()> {
     Ok(std::io::stdout().write_all(ventricle::http::openapi_json().as_bytes())?)
 }

@@ -11,6 +11,7 @@ use std::{
     num::NonZeroUsize,
     path::PathBuf,
     sync::Mutex,
+    thread::{self, ThreadId},
     time::Instant,
 };
 use ventricle::{
@@ -138,7 +139,8 @@ struct Watch {
 
 #[derive(Default)]
 struct Watched {
-    running: HashMap<(Stage, Option<usize>), Instant>,
+    /// By thread too: both surfaces of a gate are in the same stage at once. A list, as a waiting thread may begin the other surface's.
+    running: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
     stages_ms: BTreeMap<String, f64>,
 }
 
@@ -159,13 +161,13 @@ impl Watch {
 impl Monitor for Watch {
     fn begin(&self, stage: Stage, gate: Option<usize>) {
         if let Ok(mut state) = self.state.lock() {
-            state.running.insert((stage, gate), Instant::now());
+            state.running.entry((stage, gate, thread::current().id())).or_default().push(Instant::now());
         }
     }
 
     fn end(&self, stage: Stage, gate: Option<usize>) {
         if let Ok(mut state) = self.state.lock()
-            && let Some(began) = state.running.remove(&(stage, gate))
+            && let Some(began) = state.running.get_mut(&(stage, gate, thread::current().id())).and_then(Vec::pop)
         {
             *state.stages_ms.entry(stage.name().to_owned()).or_default() += 1e3 * began.elapsed().as_secs_f64();
         }

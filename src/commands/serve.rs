@@ -8,13 +8,13 @@ const STACK_BYTES: usize = 8 << 20;
 
 /// Arguments of `ventricle serve`.
 #[derive(clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     settings: ServeSettings,
 }
 
 /// Runs the service until it is told to stop.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     telemetry::init(args.settings.log_format, &args.settings.log)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()

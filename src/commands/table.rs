@@ -15,7 +15,8 @@ fn write_table(out: &mut String, report: &Report, truth: Option<&Truth>) -> std:
     if let Some(function) = &report.function {
         let mut row = |name: &str, value: f64, unit: &str, note: String, exact: Option<f64>| {
             let exact = exact.map_or_else(String::new, |exact| format!("  [{exact:6.1}]"));
-            writeln!(out, "  {name:<5}{value:8.1} {unit:<2}{exact}{note}")
+            let line = format!("  {name:<5}{value:8.1} {unit:<2}{exact}{note}");
+            writeln!(out, "{}", line.trim_end())
         };
         let at = |gate: usize| format!("   gate {gate}");
         row("EDV", function.edv_ml, "ml", at(function.end_diastolic_gate), truth.map(|truth| truth.edv_ml))?;

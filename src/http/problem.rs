@@ -41,9 +41,11 @@ pub struct Problem {
     pub detail: String,
     /// Path of the request.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub instance: Option<String>,
     /// The request's `X-Request-Id`: quote it when asking the operator, whose log has it.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub request_id: Option<String>,
     /// All that is wrong with the parameters, field by field.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -51,10 +53,11 @@ pub struct Problem {
     pub errors: Vec<Complaint>,
     /// With `reconstruction_failed`: the job's own problem.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Object>)]
+    #[schema(value_type = Option<Object>, nullable = false)]
     pub cause: Option<Box<Problem>>,
     /// With `not_ready`: what was looked at.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub checks: Option<Checks>,
     /// Seconds for the header `Retry-After`.
     #[serde(skip)]

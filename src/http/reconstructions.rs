@@ -6,7 +6,7 @@ use super::{
     extract::{Id, Query},
     negotiate,
     problem::Problem,
-    views::{self, JobListView, JobState, JobView},
+    views::{self, Binary, JobListView, JobState, JobView},
 };
 use crate::{
     intake, jobs,
@@ -21,7 +21,10 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use serde::Deserialize;
-use std::time::{Duration, Instant};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 use utoipa::IntoParams;
 use uuid::Uuid;
 
@@ -42,8 +45,8 @@ pub(super) struct SubmitQuery {
     #[param(example = "5.74,2.87,2.87")]
     spacing_mm: Option<String>,
     /// Any other parameter by its dotted name, as `mesh.level=4&edges.sigma=1.5`. Wins over those of the part `parameters` and of a JSON body.
-    #[param(rename = "section.name", example = json!("mesh.level=4"))]
-    dotted: Option<String>,
+    #[param(style = Form, explode, example = json!({"mesh.level": "3"}))]
+    parameters: Option<BTreeMap<String, String>>,
 }
 
 /// A study as JSON.
@@ -62,6 +65,16 @@ pub(super) struct JsonStudy {
     dtype: String,
     /// Counts in the order gate, slice, row, column; little-endian; base64.
     counts: String,
+    /// How to reconstruct.
+    parameters: Option<parameters::Request>,
+}
+
+/// A study as a form.
+#[derive(Debug, utoipa::ToSchema)]
+#[expect(dead_code, reason = "documents the body; `body` takes it apart")]
+pub(super) struct MultipartStudy {
+    /// DICOM files of one series, or one file of another format; the name of the part does not matter.
+    file: Vec<Binary>,
     /// How to reconstruct.
     parameters: Option<parameters::Request>,
 }
@@ -92,8 +105,8 @@ pub(super) struct JsonGrid {
     ),
     request_body(description = "One study. Multipart bodies hold several DICOM files (one multi-frame, or one file a slice or gate) or one NIfTI file, \
                                 and may have a part named `parameters` with JSON.", content(
-        (Vec<u8> = "application/dicom"), (Vec<u8> = "application/x-nifti"), (Vec<u8> = "application/gzip"), (Vec<u8> = "application/x-npy"),
-        (JsonStudy = "application/json"), (Vec<u8> = "multipart/form-data"), (Vec<u8> = "multipart/related"), (Vec<u8> = "application/octet-stream"),
+        (Binary = "application/dicom"), (Binary = "application/x-nifti"), (Binary = "application/gzip"), (Binary = "application/x-npy"),
+        (JsonStudy = "application/json"), (MultipartStudy = "multipart/form-data"), (Binary = "multipart/related"), (Binary = "application/octet-stream"),
     )),
     responses(
         (status = 202, description = "Accepted and stored; `Location` leads to the job", body = JobView,

@@ -5,6 +5,7 @@ use super::{
     extract::{Id, IdAndGate},
     negotiate,
     problem::Problem,
+    views::Binary,
 };
 use crate::{jobs::Blob, report::Report};
 use axum::{
@@ -46,7 +47,7 @@ pub(super) async fn report(State(state): State<AppState>, Id(id): Id, headers: H
     get, path = "/v1/reconstructions/{id}/surfaces.glb", operation_id = "getSurfaces", tag = "results",
     params(("id" = String, Path, format = "uuid", description = "Id of the reconstruction")),
     responses(
-        (status = 200, description = "Animated binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 200, description = "Animated binary glTF", body = Binary, content_type = "model/gltf-binary"),
         (status = 304, description = "The copy at hand is still right"),
         (status = 404, description = "No such reconstruction", body = Problem, content_type = "application/problem+json"),
         (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),
@@ -65,7 +66,7 @@ pub(super) async fn surfaces(State(state): State<AppState>, Id(id): Id, headers:
         ("gate" = u32, Path, minimum = 1, description = "Gate, counted from 1"),
     ),
     responses(
-        (status = 200, description = "Binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 200, description = "Binary glTF", body = Binary, content_type = "model/gltf-binary"),
         (status = 304, description = "The copy at hand is still right"),
         (status = 404, description = "No such reconstruction or gate", body = Problem, content_type = "application/problem+json"),
         (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),
@@ -88,7 +89,7 @@ pub(super) async fn endocardial(
         ("gate" = u32, Path, minimum = 1, description = "Gate, counted from 1"),
     ),
     responses(
-        (status = 200, description = "Binary glTF", body = Vec<u8>, content_type = "model/gltf-binary"),
+        (status = 200, description = "Binary glTF", body = Binary, content_type = "model/gltf-binary"),
         (status = 304, description = "The copy at hand is still right"),
         (status = 404, description = "No such reconstruction or gate", body = Problem, content_type = "application/problem+json"),
         (status = 406, description = "`Accept` excludes glTF", body = Problem, content_type = "application/problem+json"),

@@ -15,6 +15,11 @@ const POLL_S: f64 = 1.0;
 /// Most seconds a client is told to wait before it looks again.
 const LONGEST_POLL_S: f64 = 30.0;
 
+/// The bytes of a file.
+#[derive(Debug, ToSchema)]
+#[schema(value_type = String, format = Binary)]
+pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are passed on as they are")] Vec<u8>);
+
 /// A reconstruction and how far it is.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Job, example = json!({

@@ -188,7 +188,7 @@ pub struct Myocardium {
 /// Where the ventricle was looked for: given marks, and estimates for the rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RegionSummary {
-    /// Centre `[x, y]` in mm from the centre of the first voxel, along columns and rows.
+    /// Centre `[x, y]` half way between the ends, in mm from the centre of the first voxel, along columns and rows.
     pub centre_mm: [f64; 2],
     /// How far the centre moves `[x, y]` a mm of z: the tilt of the ventricle's axis against the stack.
     pub axis_slope: [f64; 2],
@@ -333,7 +333,7 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
             converged.push(within);
             if within < limits.within_one_voxel {
                 let (name, percent) = (surface.name(), fit.within_one_voxel_percent);
-                let text = format!("The {name} surface has {percent:.0} % of its particles within one voxel of the detected border.");
+                let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
                 warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
             }
         }

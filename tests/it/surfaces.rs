@@ -41,14 +41,8 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
             GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) } }
         })
         .collect();
-    let region = Region {
-        centre_mm: [90.0, 80.0],
-        axis_slope: [0.0, 0.0],
-        radius_mm: 60.0,
-        first_slice: 1,
-        last_slice: 4,
-        base_at_last_slice: true,
-    };
+    let region =
+        Region { centre_mm: [90.0, 80.0], axis_slope: [0.0; 2], radius_mm: 60.0, first_slice: 1, last_slice: 4, base_at_last_slice: true };
     (study, Reconstruction { gates, region, parameters: Parameters::paper(), warnings: Vec::new() })
 }
 

@@ -23,10 +23,10 @@ use ventricle::{
 };
 
 /// A directory that goes with the test.
-pub struct Directory(pub PathBuf);
+pub(super) struct Directory(pub PathBuf);
 
 impl Directory {
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self(std::env::temp_dir().join(format!("ventricle-http-{}", uuid::Uuid::now_v7())))
     }
 }
@@ -37,7 +37,7 @@ impl Drop for Directory {
     }
 }
 
-pub struct Service {
+pub(super) struct Service {
     pub router: Router,
     pub state: AppState,
     pub store: Store,
@@ -46,16 +46,16 @@ pub struct Service {
 }
 
 /// A service without workers: what is submitted stays queued.
-pub async fn idle() -> Service {
+pub(super) async fn idle() -> Service {
     with(StoreSettings::default(), None, |state| state).await
 }
 
 /// A service whose worker does this.
-pub async fn working(work: Work) -> Service {
+pub(super) async fn working(work: Work) -> Service {
     with(StoreSettings::default(), Some(work), |state| state).await
 }
 
-pub async fn with(settings: StoreSettings, work: Option<Work>, adapt: impl FnOnce(AppState) -> AppState) -> Service {
+pub(super) async fn with(settings: StoreSettings, work: Option<Work>, adapt: impl FnOnce(AppState) -> AppState) -> Service {
     let directory = Directory::new();
     let store = Store::open(StoreSettings { backend: Backend::Sqlite { directory: directory.0.clone() }, ..settings }).await.unwrap();
     let quick = Duration::from_millis(20);
@@ -68,19 +68,19 @@ pub async fn with(settings: StoreSettings, work: Option<Work>, adapt: impl FnOnc
 }
 
 /// Work that is done at once.
-pub fn instant() -> Work {
+pub(super) fn instant() -> Work {
     Arc::new(|_, _, id, _| Ok(outputs(&id.to_string())))
 }
 
 /// Work that fails as a study without a ventricle does.
-pub fn failing() -> Work {
+pub(super) fn failing() -> Work {
     Arc::new(|_, _, _, _| {
         Err(WorkError::Failed { code: "no_left_ventricle", message: "No left ventricle was found: the counts are flat.".into() })
     })
 }
 
 /// Work that makes progress and then waits until it is let go or cancelled.
-pub fn held(go: Arc<AtomicBool>) -> Work {
+pub(super) fn held(go: Arc<AtomicBool>) -> Work {
     Arc::new(move |_, _, id, progress| {
         progress.advance(1, 4);
         while !go.load(Ordering::SeqCst) {
@@ -105,7 +105,7 @@ fn outputs(id: &str) -> Vec<Output> {
 }
 
 /// A small study as JSON. Other seeds are other studies.
-pub fn study(seed: u16) -> Value {
+pub(super) fn study(seed: u16) -> Value {
     let (gates, shape) = (2, [6, 16, 16]);
     let voxels = gates * shape.iter().product::<usize>();
     let counts: Vec<u8> = (0..voxels).flat_map(|i| ((i % 97) as u16 + seed).to_le_bytes()).collect();
@@ -116,23 +116,23 @@ pub fn study(seed: u16) -> Value {
 }
 
 #[derive(Debug)]
-pub struct Answer {
+pub(super) struct Answer {
     pub status: StatusCode,
     pub headers: HeaderMap,
     pub bytes: Vec<u8>,
 }
 
 impl Answer {
-    pub fn json(&self) -> Value {
+    pub(super) fn json(&self) -> Value {
         serde_json::from_slice(&self.bytes).unwrap_or_else(|error| panic!("{error}: {}", String::from_utf8_lossy(&self.bytes)))
     }
 
-    pub fn header(&self, name: &str) -> &str {
+    pub(super) fn header(&self, name: &str) -> &str {
         self.headers.get(name).unwrap_or_else(|| panic!("no {name} in {:?}", self.headers)).to_str().unwrap()
     }
 
     /// Checks that this is a problem document of this status and code, and returns it.
-    pub fn problem(&self, status: u16, code: &str) -> Value {
+    pub(super) fn problem(&self, status: u16, code: &str) -> Value {
         assert_eq!(self.header("content-type"), "application/problem+json");
         let problem = self.json();
         assert_eq!((self.status.as_u16(), problem["code"].as_str()), (status, Some(code)), "{problem}");
@@ -146,34 +146,34 @@ impl Answer {
 }
 
 impl Service {
-    pub async fn send(&self, request: Request<Body>) -> Answer {
+    pub(super) async fn send(&self, request: Request<Body>) -> Answer {
         let response = self.router.clone().oneshot(request).await.unwrap();
         let (parts, body) = response.into_parts();
         let bytes = axum::body::to_bytes(body, usize::MAX).await.unwrap().to_vec();
         Answer { status: parts.status, headers: parts.headers, bytes }
     }
 
-    pub async fn call(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Answer {
+    pub(super) async fn call(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> Answer {
         self.send(request(method, path, headers, Body::empty())).await
     }
 
-    pub async fn get(&self, path: &str) -> Answer {
+    pub(super) async fn get(&self, path: &str) -> Answer {
         self.call("GET", path, &[]).await
     }
 
-    pub async fn post(&self, query: &str, headers: &[(&str, &str)], body: impl Into<Body>) -> Answer {
+    pub(super) async fn post(&self, query: &str, headers: &[(&str, &str)], body: impl Into<Body>) -> Answer {
         self.send(request("POST", &format!("/v1/reconstructions{query}"), headers, body.into())).await
     }
 
     /// Submits a small study and returns the path of its job.
-    pub async fn submit(&self, seed: u16) -> String {
+    pub(super) async fn submit(&self, seed: u16) -> String {
         let answer = self.post("", &[("content-type", "application/json")], study(seed).to_string()).await;
         assert_eq!(answer.status, 202, "{}", answer.json());
         answer.header("location").to_owned()
     }
 
     /// Submits a study and waits for its end.
-    pub async fn finish(&self, seed: u16) -> String {
+    pub(super) async fn finish(&self, seed: u16) -> String {
         let path = self.submit(seed).await;
         let answer = self.call("GET", &path, &[("prefer", "wait=20")]).await;
         assert!(["succeeded", "failed"].contains(&answer.json()["state"].as_str().unwrap()), "{}", answer.json());
@@ -181,7 +181,7 @@ impl Service {
     }
 
     /// Waits until a job is in a state.
-    pub async fn reach(&self, path: &str, state: &str) -> Value {
+    pub(super) async fn reach(&self, path: &str, state: &str) -> Value {
         for _ in 0..400 {
             let job = self.get(path).await.json();
             if job["state"] == state {
@@ -193,7 +193,7 @@ impl Service {
     }
 }
 
-pub fn request(method: &str, path: &str, headers: &[(&str, &str)], body: Body) -> Request<Body> {
+pub(super) fn request(method: &str, path: &str, headers: &[(&str, &str)], body: Body) -> Request<Body> {
     let builder = Request::builder().method(method).uri(path);
     headers.iter().fold(builder, |builder, (name, value)| builder.header(*name, *value)).body(body).unwrap()
 }
