@@ -182,6 +182,21 @@ impl Scene {
         let place = |w: f64| self.centre_mm + self.to_local.transpose() * ventricle.warp.apply(DVec3::new(0.0, 0.0, w));
         Some((place(ventricle.surfaces.epicardium.tip_w_mm()), place(ventricle.surfaces.epicardium.base_w_mm())))
     }
+
+    /// Whether the outer surface lies within the voxels of the grid (true without a ventricle); 48 × 48 points are tried.
+    pub(super) fn ventricle_is_within(&self, grid: &Grid) -> bool {
+        let Some(ventricle) = &self.ventricle else { return true };
+        let epicardium = &ventricle.surfaces.epicardium;
+        let (tip, base) = (epicardium.tip_w_mm(), epicardium.base_w_mm());
+        (0..48 * 48).all(|point| {
+            // Just below the valve plane, where the profile still has its radius.
+            let w = tip + (base - tip) * f64::from(point / 48) / 47.0 * (1.0 - 1e-9);
+            let radius = epicardium.radius_squared_mm2(w).max(0.0).sqrt();
+            let (sine, cosine) = (TAU * f64::from(point % 48) / 48.0).sin_cos();
+            let local = ventricle.warp.apply(DVec3::new(radius * cosine, radius * sine, w));
+            grid.voxel_at(self.centre_mm + self.to_local.transpose() * local).is_some()
+        })
+    }
 }
 
 /// The middle of the ventricle in grid mm (slice 0 apical).
