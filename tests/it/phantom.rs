@@ -178,17 +178,14 @@ fn voxels_far_from_the_border_are_the_tissue() {
 
 #[test]
 fn defects_take_their_share_of_the_wall() {
-    let lost = |deformation: Deformation, defect: Defect| {
+    let oval = Deformation { twist_degrees: 40.0, ovality: 0.2, ..Deformation::default() };
+    for deformation in [Deformation::default(), oval] {
         let mut phantom = Phantom { deformation, ..bare(&Phantom::normal()) };
         let whole = simulate(&phantom).study.gates[0].volume.total();
-        phantom.uptake.defects = vec![defect];
-        1.0 - simulate(&phantom).study.gates[0].volume.total() / whole
-    };
-    let oval = Deformation { twist_degrees: 40.0, ovality: 0.2, ..Deformation::default() };
-    for site in [Site::Apical, Site::Anterior, Site::Inferior, Site::Septal, Site::Lateral] {
-        for extent in [0.10, 0.32, 0.53] {
-            for deformation in [Deformation::default(), oval] {
-                let lost = lost(deformation, Defect { site, extent, severity: 0.8 });
+        for site in [Site::Apical, Site::Anterior, Site::Inferior, Site::Septal, Site::Lateral] {
+            for extent in [0.10, 0.53] {
+                phantom.uptake.defects = vec![Defect { site, extent, severity: 0.8 }];
+                let lost = 1.0 - simulate(&phantom).study.gates[0].volume.total() / whole;
                 assert!((lost - 0.8 * extent).abs() < 2e-3, "{site:?} {extent}: {lost}");
             }
         }
