@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn every_particle_freezes_on_a_sphere_and_encloses_it() {
         let found = evolved(&Parameters::paper());
-        assert_eq!(found.frozen, 1.0);
+        assert!((found.frozen - 1.0).abs() < f64::EPSILON);
         assert!(found.steps < 200, "{}", found.steps);
         let exact = 4.0 / 3.0 * PI * RADIUS_MM.powi(3);
         // 642 flat-sided vertices hold 1 % less than the sphere, smoothing 1 % more.
