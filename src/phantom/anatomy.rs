@@ -94,11 +94,12 @@ struct LeftVentricle {
     reach_mm: f64,
     blood: f64,
     nonuniformity: f64,
+    /// Where, and the share of uptake that remains there.
     defects: Vec<(Territory, f64)>,
     right: Option<RightVentricle>,
 }
 
-/// A defect's region at one instant, and the share of uptake that remains there.
+/// A defect's region at one instant.
 #[derive(Debug, Clone, Copy)]
 enum Territory {
     BelowHeight { w_mm: f64 },
@@ -246,9 +247,7 @@ impl LeftVentricle {
         let normal = 1.0 - self.nonuniformity * (0.5 * septal + 0.3 * inferior + 0.2 * apical);
         let in_defect = |territory: &Territory| match *territory {
             Territory::BelowHeight { w_mm } => canonical.z < w_mm,
-            Territory::Sector { centre, half_angle } => {
-                (angle - centre + PI).rem_euclid(TAU) - PI < half_angle && (centre - angle + PI).rem_euclid(TAU) - PI < half_angle
-            }
+            Territory::Sector { centre, half_angle } => ((angle - centre + PI).rem_euclid(TAU) - PI).abs() < half_angle,
         };
         self.defects.iter().filter(|(territory, _)| in_defect(territory)).fold(normal, |uptake, (_, kept)| uptake * kept)
     }

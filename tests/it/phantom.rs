@@ -11,7 +11,7 @@ use ventricle::phantom::{
 use ventricle::study::Study;
 use ventricle::volume::{Grid, Volume};
 
-/// A phantom on a grid that holds everything with room to spare, one gate, unit background-free activity.
+/// A phantom's wall alone, without blur or noise, 1000 counts a voxel, one gate, on a grid that holds it with room to spare.
 fn bare(phantom: &Phantom) -> Phantom {
     let uptake = Uptake { background: 0.0, blood_pool: 0.0, ..Uptake::default() };
     let grid = Grid { shape: [40, 64, 64], spacing_mm: [4.0, 3.0, 3.0] };
@@ -84,29 +84,21 @@ fn the_wall_is_conserved_over_the_cycle_and_end_systole_is_in_the_first_half() {
 
 #[test]
 fn blur_keeps_the_counts_away_from_borders() {
-    // The total at a fixed activity: the brightest voxel sets the scale, so compare totals over that voxel's share of a full wall.
-    let total = |psf: Psf| {
-        let mut phantom = bare(&Phantom::small());
-        phantom.imaging.psf = psf;
-        let study = simulate(&phantom).study;
-        study.gates[0].volume.clone()
-    };
-    let sharp = total(Psf::gaussian(0.0));
+    let mut phantom = bare(&Phantom::small());
+    let wall_voxels = simulate(&phantom).study.gates[0].volume.total() / 1000.0;
+    // A background at half of the wall's uptake: far from the heart it tells the scale, which blur changes. Each voxel of wall then adds one
+    // background to the total.
+    phantom.uptake.background = 0.5;
+    phantom.uptake.blood_pool = 0.5;
     for psf in [
         Psf::gaussian(9.0),
         Psf { tail: Some(Tail { fraction: 0.3, fwhm_mm: 20.0 }), ..Psf::gaussian(8.0) },
         Psf { growth: 0.04, ..Psf::gaussian(10.0) },
     ] {
-        let mut filled = bare(&Phantom::small());
-        filled.imaging.psf = psf;
-        // A uniform phantom against its own activity: background 0.5 everywhere, so the far field knows the scale.
-        filled.uptake.background = 0.5;
-        filled.uptake.blood_pool = 0.5;
-        let volume = simulate(&filled).study.gates[0].volume.clone();
-        let far = f64::from(volume.counts[[0, 0, 0]]);
-        let excess = volume.total() / far - volume.grid.voxels() as f64;
-        // Excess is (1 − .5) / .5 = 1 background a voxel of wall.
-        let wall_voxels = sharp.total() / 1000.0;
+        phantom.imaging.psf = psf;
+        let volume = simulate(&phantom).study.gates[0].volume.clone();
+        let background = f64::from(volume.counts[[0, 0, 0]]);
+        let excess = volume.total() / background - volume.grid.voxels() as f64;
         assert!((excess / wall_voxels - 1.0).abs() < 1e-4, "{psf:?}: {excess} against {wall_voxels}");
     }
 }
@@ -239,7 +231,6 @@ fn counts_noise_and_seeds() {
     let mut other = phantom.clone();
     other.imaging.noise_seed = Some(2);
     assert_ne!(first.study.gates[0], simulate(&other).study.gates[0]);
-    // The same seed gives the same noise to the first gates of a longer list only if their means agree: gates differ, streams do not mix.
     assert_ne!(first.study.gates[0].volume, first.study.gates[1].volume);
 
     other.imaging.noise_seed = None;
