@@ -5,18 +5,15 @@ use anyhow::Context as _;
 use rayon::ThreadPoolBuilder;
 use serde_json::Value;
 use std::{
-    collections::{BTreeMap, HashMap},
     fs,
     io::{IsTerminal as _, Write as _},
     num::NonZeroUsize,
     path::PathBuf,
-    sync::Mutex,
-    thread::{self, ThreadId},
-    time::Instant,
 };
 use ventricle::{
     export::glb,
     intake::{self, Limits, Options, Part},
+    jobs::Progress,
     parameters,
     pipeline::{
         self,
@@ -130,47 +127,32 @@ fn requested(args: &Args, of_study: Option<Value>) -> anyhow::Result<Value> {
     Ok(all)
 }
 
-/// Measures the stages and shows progress on a terminal.
+/// Measures the stages and shows on a terminal how far it is.
 struct Watch {
-    started: Instant,
+    progress: Progress,
     shows: bool,
-    state: Mutex<Watched>,
-}
-
-#[derive(Default)]
-struct Watched {
-    /// By thread too: both surfaces of a gate are in the same stage at once. A list, as a waiting thread may begin the other surface's.
-    running: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
-    stages_ms: BTreeMap<String, f64>,
 }
 
 impl Watch {
     fn new() -> Self {
-        Self { started: Instant::now(), shows: std::io::stderr().is_terminal(), state: Mutex::default() }
+        Self { progress: Progress::begin_now(), shows: std::io::stderr().is_terminal() }
     }
 
-    fn finish(self) -> Timing {
+    fn finish(&self) -> Timing {
         if self.shows {
             let _ = write!(std::io::stderr(), "\r\x1b[2K");
         }
-        let state = self.state.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-        Timing { total_ms: 1e3 * self.started.elapsed().as_secs_f64(), stages_ms: state.stages_ms }
+        Timing { total_ms: self.progress.elapsed_ms(), stages_ms: self.progress.stages_ms() }
     }
 }
 
 impl Monitor for Watch {
     fn begin(&self, stage: Stage, gate: Option<usize>) {
-        if let Ok(mut state) = self.state.lock() {
-            state.running.entry((stage, gate, thread::current().id())).or_default().push(Instant::now());
-        }
+        self.progress.begin(stage, gate);
     }
 
     fn end(&self, stage: Stage, gate: Option<usize>) {
-        if let Ok(mut state) = self.state.lock()
-            && let Some(began) = state.running.get_mut(&(stage, gate, thread::current().id())).and_then(Vec::pop)
-        {
-            *state.stages_ms.entry(stage.name().to_owned()).or_default() += 1e3 * began.elapsed().as_secs_f64();
-        }
+        self.progress.end(stage, gate);
     }
 
     fn advance(&self, done: usize, total: usize) {
@@ -217,18 +199,5 @@ mod tests {
         for wrong in ["1,2", "1,2,3,4", "1,-2,3", "1,nan,3", "a,b,c", ""] {
             assert!(spacing(wrong).is_err(), "{wrong}");
         }
-    }
-
-    #[test]
-    fn stages_are_timed_and_summed_over_gates() {
-        let watch = Watch::new();
-        for gate in [None, Some(0), Some(1)] {
-            watch.begin(Stage::Edges, gate);
-            watch.end(Stage::Edges, gate);
-        }
-        watch.end(Stage::Borders, None);
-        let timing = watch.finish();
-        assert_eq!(timing.stages_ms.keys().collect::<Vec<_>>(), ["edges"]);
-        assert!(timing.stages_ms["edges"] >= 0.0 && timing.total_ms >= timing.stages_ms["edges"]);
     }
 }

@@ -1,13 +1,17 @@
 //! How a running reconstruction is watched and stopped: the [`Monitor`] the worker gives to the pipeline. Here is the clock the pipeline
 //! does not have.
 
-use crate::pipeline::monitor::{Monitor, Stage};
+use crate::pipeline::{
+    Surface,
+    monitor::{Monitor, Stage},
+};
 use std::{
     collections::{BTreeMap, HashMap},
     sync::{
         Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
+    thread::{self, ThreadId},
     time::Instant,
 };
 
@@ -33,7 +37,11 @@ pub struct Progress {
 #[derive(Debug, Default)]
 struct Timeline {
     snapshot: Snapshot,
-    under_way: HashMap<(Stage, Option<usize>), Instant>,
+    /// By thread too, since both surfaces of a gate are in the same stage at once; a list, since a thread that waits for one surface may
+    /// begin the other's.
+    under_way: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
+    /// How many surfaces of each gate are measured.
+    measured: HashMap<usize, usize>,
     stages_ms: BTreeMap<Stage, f64>,
 }
 
@@ -73,16 +81,17 @@ impl Monitor for Progress {
     fn begin(&self, stage: Stage, gate: Option<usize>) {
         let mut state = self.state();
         state.snapshot.stage = Some(stage);
-        state.under_way.insert((stage, gate), Instant::now());
+        state.under_way.entry((stage, gate, thread::current().id())).or_default().push(Instant::now());
     }
 
     fn end(&self, stage: Stage, gate: Option<usize>) {
         let mut state = self.state();
-        if let Some(began) = state.under_way.remove(&(stage, gate)) {
+        if let Some(began) = state.under_way.get_mut(&(stage, gate, thread::current().id())).and_then(Vec::pop) {
             *state.stages_ms.entry(stage).or_default() += began.elapsed().as_secs_f64() * 1e3;
         }
-        if stage == Stage::Measurement && gate.is_some() {
-            state.snapshot.gates_done += 1;
+        if let (Stage::Measurement, Some(gate)) = (stage, gate) {
+            *state.measured.entry(gate).or_default() += 1;
+            state.snapshot.gates_done = state.measured.values().filter(|&&surfaces| surfaces >= Surface::BOTH.len()).count() as u64;
         }
     }
 
@@ -113,10 +122,30 @@ mod tests {
         progress.end(Stage::Edges, Some(0));
         progress.begin(Stage::Measurement, Some(0));
         progress.end(Stage::Measurement, Some(0));
+        assert_eq!(progress.snapshot().gates_done, 0, "one surface of two");
+        progress.begin(Stage::Measurement, Some(0));
+        progress.end(Stage::Measurement, Some(0));
         assert_eq!(progress.snapshot(), Snapshot { fraction: 0.375, stage: Some(Stage::Measurement), gates_done: 1 });
         assert_eq!(progress.stages_ms().keys().collect::<Vec<_>>(), ["edges", "measurement"]);
         assert!(!progress.is_cancelled());
         progress.cancel();
         assert!(progress.is_cancelled());
+    }
+
+    #[test]
+    fn both_surfaces_of_a_gate_may_be_in_the_same_stage() {
+        let progress = Progress::begin_now();
+        progress.begin(Stage::Deformation, Some(0));
+        progress.begin(Stage::Deformation, Some(0));
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                progress.begin(Stage::Deformation, Some(0));
+                thread::sleep(std::time::Duration::from_millis(5));
+                progress.end(Stage::Deformation, Some(0));
+            });
+        });
+        progress.end(Stage::Deformation, Some(0));
+        progress.end(Stage::Deformation, Some(0));
+        assert!(progress.stages_ms()["deformation"] >= 15.0, "{:?}", progress.stages_ms());
     }
 }
