@@ -116,7 +116,7 @@ impl Acquisition {
 /// Something the reader of a result should know: a stable code for programs, a sentence for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
-    /// Stable snake_case code.
+    /// Stable code in `snake_case`.
     pub code: String,
     /// One sentence without anything that names the patient.
     pub message: String,

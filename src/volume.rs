@@ -151,11 +151,10 @@ struct Cell {
 
 impl Cell {
     fn at(grid: &Grid, point_mm: DVec3) -> Self {
-        let index = grid.fractional_index(point_mm);
         let mut cell = Self { low: [0; 3], high: [0; 3], fraction: [0.0; 3] };
-        for axis in 0..3 {
+        for (axis, index) in grid.fractional_index(point_mm).into_iter().enumerate() {
             let last = grid.shape[axis] - 1;
-            let clamped = index[axis].clamp(0.0, last as f64);
+            let clamped = index.clamp(0.0, last as f64);
             cell.low[axis] = clamped.floor() as usize;
             cell.high[axis] = (cell.low[axis] + 1).min(last);
             cell.fraction[axis] = clamped - clamped.floor();

@@ -14,10 +14,10 @@ pub(crate) struct Args {
 }
 
 /// Prints what the service answers and fails if it is not ready.
-pub(crate) fn run(args: Args) -> anyhow::Result<()> {
+pub(crate) fn run(Args { url }: Args) -> anyhow::Result<()> {
     let agent: ureq::Agent =
         ureq::Agent::config_builder().timeout_global(Some(ANSWER_TIME)).http_status_as_error(false).proxy(None).build().into();
-    let url = format!("{}/readyz", args.url.trim_end_matches('/'));
+    let url = format!("{}/readyz", url.trim_end_matches('/'));
     let mut response = agent.get(&url).call().map_err(|error| anyhow::anyhow!("{url} does not answer: {error}"))?;
     let text = response.body_mut().read_to_string()?;
     anyhow::ensure!(response.status().is_success(), "{url} answers {}: {text}", response.status());

@@ -61,6 +61,14 @@ pub enum IntakeError {
         /// Which parts, and why.
         reason: String,
     },
+    /// One of several files.
+    #[error("file {file} of the request: {source}")]
+    InFile {
+        /// Which, counted from 1.
+        file: usize,
+        /// What is wrong with it.
+        source: Box<IntakeError>,
+    },
     /// The bytes of a DICOM file contradict themselves.
     #[error(transparent)]
     DicomStructure(#[from] ScanError),
@@ -222,6 +230,7 @@ impl IntakeError {
             Self::TooLarge { bytes: None, .. } => "inflates_too_large",
             Self::UnknownFormat { .. } => "unknown_format",
             Self::MixedParts { .. } => "mixed_parts",
+            Self::InFile { source, .. } => source.code(),
             Self::DicomStructure(scan) => scan.code(),
             Self::NotNuclearMedicine { .. } => "not_nuclear_medicine",
             Self::Projections { .. } => "projections",
@@ -249,6 +258,7 @@ impl IntakeError {
     pub fn nature(&self) -> Nature {
         match self {
             Self::TooLarge { .. } => Nature::TooLarge,
+            Self::InFile { source, .. } => source.nature(),
             Self::DicomStructure(scan) => scan.nature(),
             Self::Empty
             | Self::MalformedNifti { .. }

@@ -1,7 +1,7 @@
 //! Bytes → [`Study`]: what a client sent is recognised, checked and read, or refused with a sentence that says what it is and what to send.
 //!
 //! Every byte here is hostile until shown otherwise. Three rules keep time and memory bounded whatever a file declares:
-//! lengths are compared with what is there before anything is allocated ([`prescan`] for DICOM, the header first for the others),
+//! lengths are compared with what is there before anything is allocated (`prescan.rs` for DICOM, the header first for the others),
 //! compressed input is inflated against a cap, and every count of rows, columns, slices, gates and voxels has a limit ([`Limits`]).
 
 mod counts;
@@ -116,7 +116,14 @@ pub fn read(parts: &[Part<'_>], options: &Options, limits: &Limits) -> Result<Re
             reason: format!("it holds {} parts, more than the {} that one study may have", parts.len(), limits.parts),
         });
     }
-    let formats = parts.iter().map(sniff::format).collect::<Result<Vec<_>, _>>()?;
+    let formats = parts
+        .iter()
+        .enumerate()
+        .map(|(index, part)| match sniff::format(part) {
+            Err(error) if parts.len() > 1 => Err(IntakeError::InFile { file: index + 1, source: Box::new(error) }),
+            format => format,
+        })
+        .collect::<Result<Vec<_>, _>>()?;
     let study = match (parts, formats.as_slice()) {
         ([part], [sniff::Format::Json]) => return json::read(part.bytes, limits),
         ([part], [sniff::Format::Npy]) => npy::read(part.bytes, options, limits)?,

@@ -7,7 +7,7 @@ use super::shape::{Shape, Surfaces};
 use super::solid::Solid;
 use super::{Phantom, pose::Pose};
 use crate::volume::Grid;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
@@ -90,13 +90,16 @@ pub(super) struct Scene {
 struct LeftVentricle {
     surfaces: Surfaces,
     warp: Warp,
+    /// Greatest distance from the axis of anything of either ventricle, canonical, in mm.
+    reach_mm: f64,
     blood: f64,
     nonuniformity: f64,
+    /// Where, and the share of uptake that remains there.
     defects: Vec<(Territory, f64)>,
     right: Option<RightVentricle>,
 }
 
-/// A defect's region at one instant, and the share of uptake that remains there.
+/// A defect's region at one instant.
 #[derive(Debug, Clone, Copy)]
 enum Territory {
     BelowHeight { w_mm: f64 },
@@ -124,13 +127,17 @@ impl Scene {
     pub(super) fn at_phase(phantom: &Phantom, phase: f64) -> Self {
         let uptake = &phantom.uptake;
         let end_diastole = phantom.shape.surfaces(0.0);
-        let ventricle = phantom.shape.surfaces(phase).zip(end_diastole).map(|(surfaces, end_diastole)| LeftVentricle {
-            surfaces,
-            warp: Warp::new(phantom.deformation, end_diastole.epicardium.base_w_mm()),
-            blood: uptake.blood_pool,
-            nonuniformity: uptake.nonuniformity,
-            defects: uptake.defects.iter().map(|defect| (Territory::of(defect, &surfaces), 1.0 - defect.severity)).collect(),
-            right: (uptake.right_ventricle > 0.0).then(|| RightVentricle::beside(&surfaces.epicardium, uptake.right_ventricle)),
+        let ventricle = phantom.shape.surfaces(phase).zip(end_diastole).map(|(surfaces, end_diastole)| {
+            let right = (uptake.right_ventricle > 0.0).then(|| RightVentricle::beside(&surfaces.epicardium, uptake.right_ventricle));
+            LeftVentricle {
+                surfaces,
+                warp: Warp::new(phantom.deformation, end_diastole.epicardium.base_w_mm()),
+                reach_mm: right.map_or(0.0, |right| right.reach_mm().length()).max(surfaces.epicardium.widest_radius_mm()),
+                blood: uptake.blood_pool,
+                nonuniformity: uptake.nonuniformity,
+                defects: uptake.defects.iter().map(|defect| (Territory::of(defect, &surfaces), 1.0 - defect.severity)).collect(),
+                right,
+            }
         });
         let liver = uptake.liver.map(|liver| {
             // Without a ventricle the liver lies where it would under the paper's object.
@@ -182,6 +189,21 @@ impl Scene {
         let place = |w: f64| self.centre_mm + self.to_local.transpose() * ventricle.warp.apply(DVec3::new(0.0, 0.0, w));
         Some((place(ventricle.surfaces.epicardium.tip_w_mm()), place(ventricle.surfaces.epicardium.base_w_mm())))
     }
+
+    /// Whether the outer surface lies within the voxels of the grid (true without a ventricle); 48 × 48 points are tried.
+    pub(super) fn ventricle_is_within(&self, grid: &Grid) -> bool {
+        let Some(ventricle) = &self.ventricle else { return true };
+        let epicardium = &ventricle.surfaces.epicardium;
+        let (tip, base) = (epicardium.tip_w_mm(), epicardium.base_w_mm());
+        (0..48 * 48).all(|point| {
+            // Just below the valve plane, where the profile still has its radius.
+            let w = tip + (base - tip) * f64::from(point / 48) / 47.0 * (1.0 - 1e-9);
+            let radius = epicardium.radius_squared_mm2(w).max(0.0).sqrt();
+            let (sine, cosine) = (TAU * f64::from(point % 48) / 48.0).sin_cos();
+            let local = ventricle.warp.apply(DVec3::new(radius * cosine, radius * sine, w));
+            grid.voxel_at(self.centre_mm + self.to_local.transpose() * local).is_some()
+        })
+    }
 }
 
 /// The middle of the ventricle in grid mm (slice 0 apical).
@@ -204,7 +226,7 @@ impl LeftVentricle {
 
     /// Activity at a local point, `None` outside both ventricles.
     fn activity(&self, local: DVec3) -> Option<f64> {
-        let canonical = self.warp.undo(local);
+        let canonical = self.warp.undo_near(local, self.reach_mm)?;
         match self.tissue(canonical) {
             Tissue::Wall => Some(self.wall_uptake(canonical)),
             Tissue::Cavity => Some(self.blood),
@@ -225,9 +247,7 @@ impl LeftVentricle {
         let normal = 1.0 - self.nonuniformity * (0.5 * septal + 0.3 * inferior + 0.2 * apical);
         let in_defect = |territory: &Territory| match *territory {
             Territory::BelowHeight { w_mm } => canonical.z < w_mm,
-            Territory::Sector { centre, half_angle } => {
-                (angle - centre + PI).rem_euclid(TAU) - PI < half_angle && (centre - angle + PI).rem_euclid(TAU) - PI < half_angle
-            }
+            Territory::Sector { centre, half_angle } => ((angle - centre + PI).rem_euclid(TAU) - PI).abs() < half_angle,
         };
         self.defects.iter().filter(|(territory, _)| in_defect(territory)).fold(normal, |uptake, (_, kept)| uptake * kept)
     }
@@ -236,10 +256,9 @@ impl LeftVentricle {
     fn bounds(&self) -> (DVec3, DVec3) {
         let epicardium: &Solid = &self.surfaces.epicardium;
         let radius = epicardium.widest_radius_mm();
-        let reach =
-            self.right.map_or(radius, |right| (right.semi_axes.x - right.centre.x).max(right.semi_axes.y + right.centre.y).max(radius));
+        let reach = self.right.map_or(DVec2::ZERO, |right| right.reach_mm()).max(DVec2::splat(radius));
         let height = epicardium.tip_w_mm().abs().max(epicardium.base_w_mm().abs());
-        let bound = self.warp.bound(DVec3::new(reach, reach, height));
+        let bound = self.warp.bound(reach.extend(height));
         (-bound, bound)
     }
 }
@@ -280,6 +299,11 @@ impl RightVentricle {
         let length = epicardium.base_w_mm() - epicardium.tip_w_mm();
         let centre = DVec3::new(-0.75 * radius, 0.15 * radius, epicardium.base_w_mm() - 0.1 * length);
         Self { centre, semi_axes: DVec3::new(radius, 1.1 * radius, 0.75 * length), uptake }
+    }
+
+    /// Farthest reach from the long axis along x and along y, in mm.
+    fn reach_mm(&self) -> DVec2 {
+        DVec2::new(self.semi_axes.x + self.centre.x.abs(), self.semi_axes.y + self.centre.y.abs())
     }
 
     fn activity(&self, canonical: DVec3, blood: f64) -> Option<f64> {

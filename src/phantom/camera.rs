@@ -1,14 +1,14 @@
 //! From activity to expected counts: a voxel holds the mean of the blurred activity over its box.
 //!
-//! Activity is sampled at the centres of fine cells, an integer number along each side of a voxel and at most
-//! [`FINE_CELL_MM`] wide; each cell is spread to the voxels by the exact integral of the point-spread function over each voxel's box.
-//! So the only error is that of the sampled border: for a solid of radius r and a cell of d the volume is off by about d²/r² in
-//! single percents of a percent (tests hold it under 0.1 % at the default cell), and no counts are lost within the grid.
+//! Activity is sampled once in each of many fine cells, an integer number along each side of a voxel and at most 1 mm wide; each cell
+//! is spread to the voxels by the exact integral of the point-spread function over each voxel's box. So the only error is that of
+//! the sampled border, where a cell is in or out as a whole: the tests hold the presets' walls and cavities within 0.1 % of their closed
+//! forms. No counts are lost within the grid.
 
 use super::erf::normal_cdf;
 use crate::volume::Grid;
 use glam::DVec3;
-use ndarray::Array3;
+use ndarray::{Array3, Axis};
 use serde::{Deserialize, Serialize};
 
 /// Widest fine cell in mm. At 1 mm the sampled wall of the presets is within 0.1 % of its volume; half of it costs eight times the time.
@@ -51,64 +51,100 @@ pub struct Tail {
 pub(super) fn expose(
     image: &mut Array3<f64>,
     grid: &Grid,
-    psf: &Psf,
-    supersampling: usize,
+    (psf, supersampling): (&Psf, usize),
     bounds_mm: (DVec3, DVec3),
     weight: f64,
     excess: impl Fn(DVec3) -> f64,
 ) {
-    let [nz, ny, nx] = grid.shape;
-    let middle_mm = (ny - 1) as f64 * grid.spacing_mm[1] / 2.0;
-    let gaussians = |y_mm: f64| -> Vec<(f64, f64)> {
-        let sigma = |fwhm: f64| (fwhm + psf.growth * (y_mm - middle_mm)).max(0.0) / FWHM_PER_SIGMA;
-        let tail = psf.tail.map_or(0.0, |tail| tail.fraction);
-        let main = (1.0 - tail, sigma(psf.fwhm_mm));
-        std::iter::once(main).chain(psf.tail.map(|tail| (tail.fraction, sigma(tail.fwhm_mm)))).collect()
-    };
-    // The widest kernel decides how far outside the grid activity still matters.
-    let edge = grid.spacing_mm[1] / 2.0;
-    let reach_mm =
-        [-edge, 2.0 * middle_mm + edge].into_iter().flat_map(gaussians).map(|(_, sigma)| sigma).fold(0.0, f64::max) * KERNEL_REACH;
+    let [nz, _, nx] = grid.shape;
+    let reach_mm = KERNEL_REACH * widest_sigma_mm(psf, grid);
     let axes: [FineAxis; 3] = std::array::from_fn(|axis| {
         let bounds = (bounds_mm.0[2 - axis], bounds_mm.1[2 - axis]);
         FineAxis::over(grid.shape[axis], grid.spacing_mm[axis], supersampling, bounds, reach_mm)
     });
     let [along_z, along_y, along_x] = &axes;
-    let cell = weight / (along_z.cells * along_y.cells * along_x.cells) as f64;
+    let cell = weight / axes.iter().map(|axis| axis.cells as f64).product::<f64>();
+    let mut blurs = Vec::new();
+    let mut lit: Vec<(i64, f64)> = Vec::new();
     let mut row = vec![0.0; nx];
+    // Rows outermost: the point-spread function may change along y, and only there.
     for fine_y in along_y.range() {
-        let y_mm = along_y.position_mm(fine_y);
-        for (fraction, sigma) in gaussians(y_mm) {
-            if fraction == 0.0 {
+        let y_mm = along_y.position_mm(fine_y, 0.5);
+        if blurs.is_empty() || psf.growth != 0.0 {
+            blurs = gaussians(psf, grid, y_mm).map(|(fraction, sigma)| Blur::new(fraction, sigma, &axes, nz * nx)).collect();
+        }
+        for fine_z in along_z.range() {
+            lit.clear();
+            lit.extend(along_x.range().map(|fine_x| {
+                let [x, y, z] = place_in_cell([fine_x, fine_y, fine_z]);
+                let point = DVec3::new(along_x.position_mm(fine_x, x), along_y.position_mm(fine_y, y), along_z.position_mm(fine_z, z));
+                (fine_x, excess(point))
+            }));
+            lit.retain(|&(_, activity)| activity != 0.0);
+            if lit.is_empty() {
                 continue;
             }
-            let (kernel_z, kernel_y, kernel_x) = (along_z.kernel(sigma), along_y.kernel(sigma), along_x.kernel(sigma));
-            let mut plane = vec![0.0; nz * nx];
-            for fine_z in along_z.range() {
+            for Blur { kernels: [kernel_z, _, kernel_x], plane, .. } in &mut blurs {
                 row.fill(0.0);
-                let mut dark = true;
-                for fine_x in along_x.range() {
-                    let activity = excess(DVec3::new(along_x.position_mm(fine_x), y_mm, along_z.position_mm(fine_z)));
-                    if activity != 0.0 {
-                        dark = false;
-                        kernel_x.spread(fine_x, |voxel, share| row[voxel] += activity * share);
-                    }
+                for &(fine_x, activity) in &lit {
+                    kernel_x.spread(fine_x, |voxel, share| row[voxel] += activity * share);
                 }
-                if !dark {
-                    kernel_z.spread(fine_z, |voxel, share| {
-                        plane[voxel * nx..][..nx].iter_mut().zip(&row).for_each(|(sum, value)| *sum += share * value);
-                    });
-                }
+                kernel_z.spread(fine_z, |voxel, share| {
+                    plane[voxel * nx..][..nx].iter_mut().zip(&row).for_each(|(sum, value)| *sum += share * value);
+                });
             }
-            kernel_y.spread(fine_y, |voxel, share| {
-                let share = share * fraction * cell;
-                for z in 0..nz {
-                    for x in 0..nx {
-                        image[[z, voxel, x]] += share * plane[z * nx + x];
-                    }
-                }
-            });
         }
+        for Blur { fraction, kernels: [_, kernel_y, _], plane } in &mut blurs {
+            kernel_y.spread(fine_y, |voxel, share| {
+                let share = share * *fraction * cell;
+                image.index_axis_mut(Axis(1), voxel).iter_mut().zip(plane.iter()).for_each(|(sum, value)| *sum += share * value);
+            });
+            plane.fill(0.0);
+        }
+    }
+}
+
+/// Where in its cell the activity is sampled, along `[x, y, z]`, each in `[0, 1)`.
+///
+/// Samples at the centres would all cross a valve plane that is parallel to the grid at once: half a cell there is more than a millilitre.
+/// So they follow a Kronecker sequence (multiples of the powers of the root of x⁴ = x + 1, Roberts' R₃) over the cells: evenly spread along
+/// each axis over every plane of cells, and the same on every run.
+fn place_in_cell([x, y, z]: [i64; 3]) -> [f64; 3] {
+    const STEPS: [f64; 3] = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_3];
+    let along = |own: i64, next: i64, other: i64| {
+        let sum = own as f64 * STEPS[2] + next as f64 * STEPS[0] + other as f64 * STEPS[1] + 0.5;
+        sum - sum.floor()
+    };
+    [along(x, y, z), along(y, z, x), along(z, x, y)]
+}
+
+/// The Gaussians `(share, σ in mm)` that make up the point-spread function at a row.
+fn gaussians(psf: &Psf, grid: &Grid, y_mm: f64) -> impl Iterator<Item = (f64, f64)> {
+    let middle_mm = (grid.shape[1] - 1) as f64 * grid.spacing_mm[1] / 2.0;
+    let growth_mm = psf.growth * (y_mm - middle_mm);
+    let sigma = move |fwhm_mm: f64| (fwhm_mm + growth_mm).max(0.0) / FWHM_PER_SIGMA;
+    let main = (1.0 - psf.tail.map_or(0.0, |tail| tail.fraction), sigma(psf.fwhm_mm));
+    std::iter::once(main).chain(psf.tail.map(|tail| (tail.fraction, sigma(tail.fwhm_mm))))
+}
+
+/// The widest σ in mm anywhere in the grid: it decides how far outside the grid activity still matters.
+fn widest_sigma_mm(psf: &Psf, grid: &Grid) -> f64 {
+    let last_mm = (grid.shape[1] - 1) as f64 * grid.spacing_mm[1];
+    [0.0, last_mm].into_iter().flat_map(|y_mm| gaussians(psf, grid, y_mm)).map(|(_, sigma)| sigma).fold(0.0, f64::max)
+}
+
+/// One Gaussian of the point-spread function, and the plane of constant y it is collecting.
+struct Blur {
+    fraction: f64,
+    /// Along z, y, x.
+    kernels: [Kernel; 3],
+    /// Sums over z and x, `[z, x]`.
+    plane: Vec<f64>,
+}
+
+impl Blur {
+    fn new(fraction: f64, sigma_mm: f64, axes: &[FineAxis; 3], plane: usize) -> Self {
+        Self { fraction, kernels: std::array::from_fn(|axis| axes[axis].kernel(sigma_mm)), plane: vec![0.0; plane] }
     }
 }
 
@@ -136,8 +172,9 @@ impl FineAxis {
         self.first..self.end
     }
 
-    fn position_mm(&self, fine: i64) -> f64 {
-        ((fine as f64 + 0.5) / self.cells as f64 - 0.5) * self.spacing_mm
+    /// Where a place within a cell, 0 to 1, lies.
+    fn position_mm(&self, fine: i64, place: f64) -> f64 {
+        ((fine as f64 + place) / self.cells as f64 - 0.5) * self.spacing_mm
     }
 
     /// The share of each cell's counts that each voxel near it receives.
@@ -146,7 +183,7 @@ impl FineAxis {
         let width = 2 * reach as usize + 1;
         let mut shares = Vec::with_capacity(self.cells * width);
         for cell in 0..self.cells {
-            let at_mm = self.position_mm(cell as i64);
+            let at_mm = self.position_mm(cell as i64, 0.5);
             let below = |edge: f64| {
                 if sigma_mm > 0.0 { normal_cdf((edge * self.spacing_mm - at_mm) / sigma_mm) } else { f64::from(u8::from(edge > 0.0)) }
             };

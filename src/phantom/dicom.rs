@@ -238,7 +238,8 @@ fn source_elements() -> Vec<Element> {
     let window = vec![text(tags::ENERGY_WINDOW_NAME, VR::SH, "Tc99m"), sequence(tags::ENERGY_WINDOW_RANGE_SEQUENCE, [range])];
     let tracer = vec![
         text(tags::RADIOPHARMACEUTICAL, VR::LO, "Tc99m sestamibi, simulated"),
-        sequence(tags::RADIONUCLIDE_CODE_SEQUENCE, [code("72454004", "SCT", "^99m^Technetium")]),
+        // Type 2: present without an item; the text above names the tracer.
+        sequence(tags::RADIONUCLIDE_CODE_SEQUENCE, []),
     ];
     let rotation = vec![
         decimals(tags::START_ANGLE, &[45.0]),

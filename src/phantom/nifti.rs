@@ -26,7 +26,7 @@ pub fn write(study: &Study) -> Vec<u8> {
     bytes
 }
 
-/// [`write`], gzipped; the same study gives the same bytes (no time stamp).
+/// [`write()`], gzipped; the same study gives the same bytes (no time stamp).
 ///
 /// Errors: none in practice, writing to memory; passed on rather than hidden.
 pub fn write_gzipped(study: &Study) -> std::io::Result<Vec<u8>> {

@@ -69,11 +69,26 @@ impl Warp {
 
     /// Deformed to canonical coordinates.
     pub(super) fn undo(&self, deformed: DVec3) -> DVec3 {
+        self.unturn(self.straighten(deformed))
+    }
+
+    /// [`Self::undo`], or `None` for most points whose canonical image is farther than `radius_mm` from the axis. Turning costs a sine and
+    /// a cosine; most points around a ventricle are decided without.
+    pub(super) fn undo_near(&self, deformed: DVec3, radius_mm: f64) -> Option<DVec3> {
+        let straight = self.straighten(deformed);
+        let reach = radius_mm * self.stretch.max(1.0 / self.stretch);
+        (straight.x * straight.x + straight.y * straight.y <= reach * reach).then(|| self.unturn(straight))
+    }
+
+    fn straighten(&self, deformed: DVec3) -> DVec3 {
         let w = deformed.z - self.slope * deformed.x;
         let along = w / self.half_length_mm;
-        let straight = DVec3::new(deformed.x - self.deformation.bend_mm * along * along, deformed.y, w);
-        let unturned = self.turn(straight, along, -1.0);
-        DVec3::new(unturned.x / self.stretch, unturned.y * self.stretch, w)
+        DVec3::new(deformed.x - self.deformation.bend_mm * along * along, deformed.y, w)
+    }
+
+    fn unturn(&self, straight: DVec3) -> DVec3 {
+        let oval = self.turn(straight, straight.z / self.half_length_mm, -1.0);
+        DVec3::new(oval.x / self.stretch, oval.y * self.stretch, oval.z)
     }
 
     fn turn(&self, point: DVec3, along: f64, sense: f64) -> DVec3 {
@@ -87,12 +102,9 @@ impl Warp {
     /// Half-widths of a box about the origin that holds the deformed image of the canonical box `± half`.
     pub(super) fn bound(&self, half: DVec3) -> DVec3 {
         let along = half.z / self.half_length_mm;
-        let (mut x, mut y) = (half.x * self.stretch, half.y / self.stretch);
-        if self.twisted {
-            x = x.hypot(y);
-            y = x;
-        }
-        x += self.deformation.bend_mm.abs() * along * along;
+        let (wide, high) = (half.x * self.stretch, half.y / self.stretch);
+        let turn = (along * self.deformation.twist_degrees.to_radians() / 2.0).abs().min(std::f64::consts::FRAC_PI_2).sin();
+        let (x, y) = (wide + turn * high + self.deformation.bend_mm.abs() * along * along, high + turn * wide);
         DVec3::new(x, y, half.z + self.slope.abs() * x)
     }
 }
@@ -108,7 +120,9 @@ mod tests {
         let warp = Warp::new(ALL, 45.0);
         for point in [DVec3::new(30.0, -20.0, 40.0), DVec3::new(-5.0, 12.0, -44.0), DVec3::ZERO] {
             assert!((warp.undo(warp.apply(point)) - point).length() < 1e-12);
+            assert_eq!(warp.undo_near(warp.apply(point), 37.0), Some(warp.undo(warp.apply(point))));
         }
+        assert_eq!(warp.undo_near(warp.apply(DVec3::new(70.0, 20.0, 0.0)), 37.0), None);
     }
 
     #[test]

@@ -171,7 +171,7 @@ mod tests {
     fn the_paper_s_printed_volumes() {
         let surfaces = Cylinder::default().surfaces();
         assert!((surfaces.endocardium.volume_mm3() - 89_794.0).abs() < 1e-6);
-        let printed_with_its_pi = 305_301.4 * std::f64::consts::PI / 3.1415;
+        let printed_with_its_pi = 305_301.4 * std::f64::consts::PI / (31_415.0 / 10_000.0);
         assert!((surfaces.epicardium.volume_mm3() - printed_with_its_pi).abs() < 0.5);
     }
 

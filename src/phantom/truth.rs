@@ -26,6 +26,8 @@ pub struct Truth {
     pub continuous_ef_percent: f64,
     /// Share of the wall's volume with a defect, an upper bound where defects overlap.
     pub defect_fraction: f64,
+    /// Whether the whole ventricle lies within the grid at the end-diastolic gate; a grid that cuts it leaves the volumes as they are.
+    pub within_grid: bool,
     /// Whether there is a ventricle to be found.
     pub has_ventricle: bool,
 }
@@ -73,6 +75,7 @@ pub(super) fn of(phantom: &Phantom) -> Truth {
         end_systolic_gate: smallest + 1,
         continuous_ef_percent,
         defect_fraction: phantom.uptake.defects.iter().fold(0.0, |sum, defect| f64::min(sum + defect.extent, 1.0)),
+        within_grid: Scene::at_phase(phantom, (largest as f64 + 0.5) / imaging.gates as f64).ventricle_is_within(&imaging.grid),
         has_ventricle: phantom.shape.is_ventricle(),
         gates,
     }

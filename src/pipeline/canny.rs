@@ -205,11 +205,18 @@ mod tests {
             let gradient = gradient(&volume, &everywhere, &parameters);
             let found = edges(&gradient, &everywhere, &parameters);
             assert!(found.len() > 500, "{mode:?}: {}", found.len());
-            for point in found.iter().filter(|point| mode == EdgeMode::Volume || point.voxel[0] == 20) {
-                let from_centre = point.position_mm - DVec3::splat(40.0);
-                // Canny's known displacement for a radius of 10σ is below a tenth of a voxel; the grid adds as much.
-                assert!((from_centre.length() - 20.0).abs() < 0.5, "{mode:?} {point:?}");
-                assert!(point.uphill.dot(from_centre.normalize()) < -0.95, "counts grow inwards: {point:?}");
+            // A Gaussian moves the steepest place of a curved edge inwards by σ²/2R for each curved direction.
+            let (sigma_mm, curved) = (2.0, if mode == EdgeMode::Volume { 2.0 } else { 1.0 });
+            let expected = 20.0 - curved * sigma_mm * sigma_mm / (2.0 * 20.0);
+            let ring: Vec<&EdgePoint> = found.iter().filter(|point| mode == EdgeMode::Volume || point.voxel[0] == 20).collect();
+            let radius = |point: &EdgePoint| (point.position_mm - DVec3::splat(40.0)).length();
+            let mean = ring.iter().map(|point| radius(point)).sum::<f64>() / ring.len() as f64;
+            assert!((mean - expected).abs() < 0.2, "{mode:?}: {mean}, a tenth of a voxel from {expected}");
+            for point in ring {
+                // The parabola's three points lie up to √3 voxels apart on the gradient's interpolated length.
+                assert!((radius(point) - expected).abs() < 0.6, "{mode:?} {} {point:?}", radius(point));
+                let outwards = (point.position_mm - DVec3::splat(40.0)).normalize();
+                assert!(point.uphill.dot(outwards) < -0.95, "counts grow inwards: {point:?}");
             }
         }
     }
@@ -246,7 +253,7 @@ mod tests {
         }
         Zip::from(&mut volume.counts).and(&known.member).for_each(|count, &inside| {
             if !inside {
-                *count = 0.0
+                *count = 0.0;
             }
         });
         let parameters = Parameters::paper().edges;

@@ -198,11 +198,12 @@ fn dot(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::pipeline::{borders::BorderPoint, monitor::Silent, parameters::Parameters};
 
-    fn sphere(grid: Grid, centre: DVec3, radius: f64) -> Border {
+    /// The border of a ball, two voxels thick at most.
+    pub(in crate::pipeline) fn sphere(grid: Grid, centre: DVec3, radius: f64) -> Border {
         let thickness = grid.spacing_mm.iter().fold(0.0, |a: f64, &b| a.max(b)) / 2.0;
         let all = Array3::from_elem(grid.shape, ());
         let points = all

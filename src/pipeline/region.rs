@@ -449,7 +449,8 @@ fn apex_of(grid: &Grid, axial: &[f64], end_mm: f64, base_mm: f64) -> PerSurface<
     // Heights above the end, every half millimetre, from 20 mm outside to the middle of the ventricle.
     let value = |height: f64| linear(axial, (end_mm + towards_base * height) / dz);
     let length = (base_mm - end_mm).abs();
-    let samples: Vec<f64> = (0..).map(|i| -20.0 + 0.5 * f64::from(i)).take_while(|&height| height <= length * 0.6).collect();
+    let count = ((length * 0.6 + 20.0) / 0.5).floor().max(0.0) as u32;
+    let samples: Vec<f64> = (0..=count).map(|i| -20.0 + 0.5 * f64::from(i)).collect();
     let inside = |height: f64| {
         let index = (end_mm + towards_base * height) / dz;
         index >= 0.0 && index <= (axial.len() - 1) as f64

@@ -31,7 +31,7 @@ fn assert_still_works(service: &Served) {
     let good = phantom::dicom::write(&phantom::simulate(&phantom).unwrap().study).unwrap();
     let accepted = service.post("application/dicom", &good);
     assert_eq!(accepted.status, 202, "{}", String::from_utf8_lossy(&accepted.body));
-    let job = service.finished(accepted.json()["id"].as_str().unwrap(), Duration::from_secs(120));
+    let job = service.finished(accepted.json()["id"].as_str().unwrap(), Duration::from_mins(2));
     assert_eq!(job["state"], "succeeded", "{job}");
 }
 

@@ -1,5 +1,7 @@
 //! Bytes → study: real files, files written here, and hostile ones.
 
+#![expect(clippy::float_cmp, reason = "spacings and counts must come through exactly")]
+
 mod formats;
 mod hostile;
 mod nuclear;

@@ -33,7 +33,7 @@ fn accepted_jobs_all_finish_though_the_service_is_killed_twice() {
     let mut attempts = 0;
     let mut reports = BTreeSet::new();
     for id in &accepted {
-        let job = service.finished(id, Duration::from_secs(120));
+        let job = service.finished(id, Duration::from_mins(2));
         assert_eq!(job["state"], "succeeded", "{job}");
         attempts += job["attempt"].as_u64().unwrap();
         let report = service.get(&format!("/v1/reconstructions/{id}/report"));

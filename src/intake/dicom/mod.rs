@@ -26,9 +26,10 @@ pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeE
     // What all files together may take; each file leaves less for the next.
     let mut remaining = limits.clone();
     for (index, part) in parts.iter().enumerate() {
+        let in_file = |error| if parts.len() == 1 { error } else { IntakeError::InFile { file: index + 1, source: Box::new(error) } };
         // Of a series, the first file speaks for all.
         let mut own = Vec::new();
-        let object = Object::read(part.bytes, &remaining, &mut own)?;
+        let object = Object::read(part.bytes, &remaining, &mut own).map_err(in_file)?;
         remaining.inflated_bytes -= object.pixels.inflated_bytes();
         remaining.described_bytes -= object.attributes.bytes;
         objects.push(object);

@@ -307,6 +307,7 @@ fn unpack_bits<'a>(packed: &[u8], mut out: impl Iterator<Item = &'a mut u8>) -> 
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "small integers and halves are exact")]
 mod tests {
     use super::*;
 

@@ -61,8 +61,9 @@ fn the_program_serves_and_stops_in_order() {
     let body = study(0).to_string();
     let head = "POST /v1/reconstructions HTTP/1.1\r\nHost: test\r\nConnection: close\r\nContent-Type: application/json\r\n\
                 Transfer-Encoding: chunked\r\n\r\n";
-    let chunks: String =
+    let chunks: Vec<String> =
         body.as_bytes().chunks(1000).map(|chunk| format!("{:x}\r\n{}\r\n", chunk.len(), std::str::from_utf8(chunk).unwrap())).collect();
+    let chunks = chunks.concat();
     let answer = exchange(&program.address, format!("{head}{chunks}0\r\n\r\n").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
     assert!(answer.to_lowercase().contains("location: /v1/reconstructions/"), "{answer}");

@@ -65,8 +65,8 @@ async fn a_dicom_file_is_accepted_also_when_mislabelled() {
 }
 
 fn multipart(boundary: &str, parts: &[(&str, &str)], start: &str, end: &str) -> String {
-    let parts: String = parts.iter().map(|(head, body)| format!("--{boundary}\r\n{head}\r\n\r\n{body}\r\n")).collect();
-    format!("{start}{parts}--{boundary}--{end}")
+    let parts: Vec<String> = parts.iter().map(|(head, body)| format!("--{boundary}\r\n{head}\r\n\r\n{body}\r\n")).collect();
+    format!("{start}{}--{boundary}--{end}", parts.concat())
 }
 
 #[tokio::test]

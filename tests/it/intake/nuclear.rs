@@ -172,7 +172,9 @@ fn rle(frame: &[u8]) -> Vec<u8> {
     fragment[0] = 2;
     fragment[4] = 64;
     fragment[8..12].copy_from_slice(&(64 + segments[0].len() as u32).to_le_bytes());
-    segments.iter().for_each(|segment| fragment.extend(segment));
+    for segment in &segments {
+        fragment.extend(segment);
+    }
     if fragment.len() % 2 == 1 {
         fragment.push(0x80);
     }

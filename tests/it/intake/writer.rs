@@ -109,7 +109,9 @@ fn encode(element: &Element, syntax: Syntax, out: &mut Vec<u8>) {
         Value::Items(items) => {
             for item in items {
                 let mut content = Vec::new();
-                item.iter().for_each(|element| encode(element, syntax, &mut content));
+                for element in item {
+                    encode(element, syntax, &mut content);
+                }
                 put16(&mut value, 0xFFFE);
                 put16(&mut value, 0xE000);
                 put32(&mut value, content.len() as u32);

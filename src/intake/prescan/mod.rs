@@ -5,114 +5,29 @@
 //! declared length with what remains of its container, and limits depth and number of elements. It ends at the Pixel Data of the
 //! outermost data set; what follows there (padding, private trailers) is never read.
 
-use super::error::Nature;
+mod error;
+mod header;
+
+pub use error::ScanError;
+
 use super::{Limits, inflate};
-use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::{Tag, VR};
-use dicom_dictionary_std::{StandardDataDictionary, tags};
+use dicom_dictionary_std::tags;
+use header::{Header, UNDEFINED, read_header};
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// Length field that stands for "until the delimiter".
-const UNDEFINED: u32 = 0xFFFF_FFFF;
 const ITEM: Tag = Tag(0xFFFE, 0xE000);
 const ITEM_END: Tag = Tag(0xFFFE, 0xE00D);
 const SEQUENCE_END: Tag = Tag(0xFFFE, 0xE0DD);
 
-/// What is wrong with the structure of a DICOM file. Offsets count bytes of the file (of the inflated data set, if it is deflated).
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ScanError {
-    /// A value reaches beyond its container.
-    #[error(
-        "the DICOM file is truncated or damaged: element {tag} at byte {offset} declares {declared} bytes where {remaining} remain; send the whole file"
-    )]
-    Truncated {
-        /// The element.
-        tag: Tag,
-        /// Where its header begins.
-        offset: usize,
-        /// Its declared length.
-        declared: u32,
-        /// What remains of the file or of the enclosing item.
-        remaining: usize,
-    },
-    /// The bytes end within a header or before a delimiter.
-    #[error("the DICOM file is truncated: it ends at byte {offset} within {within}; send the whole file")]
-    EndsEarly {
-        /// Where it ends.
-        offset: usize,
-        /// Within what.
-        within: String,
-    },
-    /// A header that no DICOM writer makes.
-    #[error("the DICOM file is damaged: at byte {offset}, {found}")]
-    Malformed {
-        /// Where.
-        offset: usize,
-        /// What is there.
-        found: String,
-    },
-    /// Sequences nested too deeply.
-    #[error("the DICOM file nests sequences more than {limit} deep at byte {offset}")]
-    TooDeep {
-        /// Where.
-        offset: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// Too many elements.
-    #[error("the DICOM file has more than {limit} data elements")]
-    TooManyElements {
-        /// The limit.
-        limit: usize,
-    },
-    /// A deflated data set over the cap.
-    #[error("the deflated DICOM data set inflates to more than {limit} bytes")]
-    InflatesTooLarge {
-        /// The limit.
-        limit: usize,
-    },
-    /// A deflated data set that does not inflate.
-    #[error("the deflated DICOM data set is damaged: {reason}")]
-    DamagedDeflate {
-        /// What is wrong.
-        reason: String,
-    },
-    /// File meta information without a transfer syntax.
-    #[error(
-        "the DICOM file has no Transfer Syntax UID (0002,0010) in its file meta information, so its data set cannot be read; export it again as a Part-10 file"
-    )]
-    NoTransferSyntax,
-}
-
-impl ScanError {
-    /// Stable `snake_case` name of the reason.
-    pub(super) fn code(&self) -> &'static str {
-        match self {
-            Self::Truncated { .. } | Self::EndsEarly { .. } => "truncated_dicom",
-            Self::Malformed { .. } | Self::DamagedDeflate { .. } => "malformed_dicom",
-            Self::TooDeep { .. } => "dicom_too_deep",
-            Self::TooManyElements { .. } => "dicom_too_many_elements",
-            Self::InflatesTooLarge { .. } => "inflates_too_large",
-            Self::NoTransferSyntax => "no_transfer_syntax",
-        }
-    }
-
-    pub(super) fn nature(&self) -> Nature {
-        match self {
-            Self::InflatesTooLarge { .. } => Nature::TooLarge,
-            _ => Nature::Malformed,
-        }
-    }
-}
-
 /// How a data set is encoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Encoding {
+pub(in crate::intake) struct Encoding {
     /// Transfer Syntax UID.
-    pub(super) uid: String,
-    pub(super) explicit: bool,
-    pub(super) big_endian: bool,
+    pub(in crate::intake) uid: String,
+    pub(in crate::intake) explicit: bool,
+    pub(in crate::intake) big_endian: bool,
 }
 
 impl Encoding {
@@ -123,7 +38,7 @@ impl Encoding {
 
 /// Where the Pixel Data of the outermost data set is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Pixels {
+pub(in crate::intake) enum Pixels {
     Absent,
     /// One value of defined length.
     Native {
@@ -138,26 +53,26 @@ pub(super) enum Pixels {
 
 /// An element of the outermost data set.
 #[derive(Debug, Clone)]
-pub(super) struct Element {
-    pub(super) tag: Tag,
+pub(in crate::intake) struct Element {
+    pub(in crate::intake) tag: Tag,
     /// Header and value.
-    pub(super) bytes: Range<usize>,
+    pub(in crate::intake) bytes: Range<usize>,
     /// Whether another parser must read the same structure: not so when it holds UN of undefined length, which some read as explicit.
-    pub(super) unambiguous: bool,
+    pub(in crate::intake) unambiguous: bool,
 }
 
 /// What the walk found.
 #[derive(Debug)]
-pub(super) struct Scan<'a> {
-    pub(super) encoding: Encoding,
+pub(in crate::intake) struct Scan<'a> {
+    pub(in crate::intake) encoding: Encoding,
     /// The bytes that all ranges refer to: the file, or the inflated data set.
-    pub(super) data: Cow<'a, [u8]>,
-    pub(super) elements: Vec<Element>,
-    pub(super) pixels: Pixels,
+    pub(in crate::intake) data: Cow<'a, [u8]>,
+    pub(in crate::intake) elements: Vec<Element>,
+    pub(in crate::intake) pixels: Pixels,
     /// Media Storage SOP Class UID (0002,0002).
-    pub(super) media_class: Option<String>,
+    pub(in crate::intake) media_class: Option<String>,
     /// Whether it has the preamble of a Part-10 file.
-    pub(super) part_10: bool,
+    pub(in crate::intake) part_10: bool,
 }
 
 /// Where a DICOM file's first element may begin.
@@ -169,7 +84,7 @@ enum Start {
 }
 
 /// Whether a body is DICOM, perhaps without preamble or damaged at its beginning.
-pub(super) fn looks_like_dicom(bytes: &[u8]) -> bool {
+pub(in crate::intake) fn looks_like_dicom(bytes: &[u8]) -> bool {
     bytes.get(128..132) == Some(b"DICM") || start(bytes).is_some()
 }
 
@@ -197,7 +112,7 @@ fn start(bytes: &[u8]) -> Option<Start> {
 ///
 /// # Errors
 /// [`ScanError`] for the first thing that contradicts itself or exceeds a limit.
-pub(super) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Scan<'a>, ScanError> {
+pub(in crate::intake) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Scan<'a>, ScanError> {
     let (meta, part_10) = match start(bytes) {
         Some(Start::Meta(offset)) => (read_meta(bytes, offset)?, offset == 132),
         Some(Start::DataSet(uid)) => (Meta { transfer_syntax: Some(uid.to_owned()), media_class: None, end: 0 }, false),
@@ -252,91 +167,6 @@ fn read_meta(bytes: &[u8], offset: usize) -> Result<Meta, ScanError> {
         meta.end = value.end;
     }
     Ok(meta)
-}
-
-/// The header of an element or item.
-struct Header {
-    tag: Tag,
-    vr: VR,
-    length: u32,
-    offset: usize,
-    value_start: usize,
-}
-
-impl Header {
-    /// The range of a value of defined length within a container.
-    fn value(&self, container_end: usize) -> Result<Range<usize>, ScanError> {
-        let remaining = container_end - self.value_start;
-        if self.length == UNDEFINED || self.length as usize > remaining {
-            return Err(ScanError::Truncated { tag: self.tag, offset: self.offset, declared: self.length, remaining });
-        }
-        Ok(self.value_start..self.value_start + self.length as usize)
-    }
-}
-
-fn read_header(data: &[u8], offset: usize, end: usize, explicit: bool, big_endian: bool) -> Result<Header, ScanError> {
-    let ends_early = || ScanError::EndsEarly { offset: end, within: format!("the header of the element at byte {offset}") };
-    let field = |from: usize, length: usize| {
-        if from + length <= end { data.get(from..from + length).ok_or_else(ends_early) } else { Err(ends_early()) }
-    };
-    let u16_at =
-        |from: usize| field(from, 2).map(|b| if big_endian { u16::from_be_bytes([b[0], b[1]]) } else { u16::from_le_bytes([b[0], b[1]]) });
-    let u32_at = |from: usize| {
-        field(from, 4)
-            .map(|b| if big_endian { u32::from_be_bytes([b[0], b[1], b[2], b[3]]) } else { u32::from_le_bytes([b[0], b[1], b[2], b[3]]) })
-    };
-    let tag = Tag(u16_at(offset)?, u16_at(offset + 2)?);
-    if tag.group() == 0xFFFE {
-        return Ok(Header { tag, vr: VR::UN, length: u32_at(offset + 4)?, offset, value_start: offset + 8 });
-    }
-    if !explicit {
-        let vr =
-            if tag == tags::PIXEL_DATA { VR::OW } else { StandardDataDictionary.by_tag(tag).map_or(VR::UN, |entry| entry.vr().relaxed()) };
-        return Ok(Header { tag, vr, length: u32_at(offset + 4)?, offset, value_start: offset + 8 });
-    }
-    let letters = field(offset + 4, 2)?;
-    if !letters.iter().all(u8::is_ascii_uppercase) {
-        return Err(ScanError::Malformed {
-            offset,
-            found: format!(
-                "element {tag} has the bytes {:02X} {:02X} where explicit VR needs two letters (is the declared transfer syntax wrong?)",
-                letters[0], letters[1]
-            ),
-        });
-    }
-    let vr = VR::from_binary([letters[0], letters[1]]).unwrap_or(VR::UN);
-    if has_short_length(vr) {
-        return Ok(Header { tag, vr, length: u32::from(u16_at(offset + 6)?), offset, value_start: offset + 8 });
-    }
-    Ok(Header { tag, vr, length: u32_at(offset + 8)?, offset, value_start: offset + 12 })
-}
-
-/// Whether the length field of a VR has 16 bits in explicit encodings (PS3.5 7.1.2).
-fn has_short_length(vr: VR) -> bool {
-    matches!(
-        vr,
-        VR::AE
-            | VR::AS
-            | VR::AT
-            | VR::CS
-            | VR::DA
-            | VR::DS
-            | VR::DT
-            | VR::FL
-            | VR::FD
-            | VR::IS
-            | VR::LO
-            | VR::LT
-            | VR::PN
-            | VR::SH
-            | VR::SL
-            | VR::SS
-            | VR::ST
-            | VR::TM
-            | VR::UI
-            | VR::UL
-            | VR::US
-    )
 }
 
 /// What an open container holds.
