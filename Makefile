@@ -25,8 +25,7 @@ lint: ## formatting, clippy, documentation, licences and advisories
 	cargo fmt --check
 	cargo clippy --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
-	@if command -v cargo-deny >/dev/null; then cargo deny check; else \
-	  echo "not checked: licences and advisories, as cargo-deny is not installed (cargo install --locked cargo-deny)"; fi
+	@tests/tools/deny.sh
 
 bench: ## runs the benchmarks
 	cargo bench --locked

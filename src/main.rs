@@ -3,6 +3,7 @@
 mod commands;
 
 use clap::{Parser, Subcommand};
+use std::{io::Write as _, process::ExitCode};
 
 /// Reconstructs the left ventricle from gated cardiac SPECT.
 #[derive(Parser)]
@@ -28,8 +29,19 @@ enum Command {
     Healthcheck(commands::healthcheck::Args),
 }
 
-fn main() -> anyhow::Result<()> {
-    match Cli::parse().command {
+fn main() -> ExitCode {
+    match run(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // A sentence for the user; `anyhow`'s own form would print a backtrace where RUST_BACKTRACE is set.
+            let _ = writeln!(std::io::stderr(), "error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> anyhow::Result<()> {
+    match command {
         Command::Serve(args) => commands::serve::run(args),
         Command::Demo(args) => commands::demo::run(args),
         Command::Reconstruct(args) => commands::reconstruct::run(args),

@@ -113,6 +113,9 @@ impl Acquisition {
     }
 }
 
+/// Code of the warning that the slices are said not to be short-axis slices.
+pub const LONG_AXIS_SLICES: &str = "long_axis_slices";
+
 /// Something the reader of a result should know: a stable code for programs, a sentence for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {

@@ -135,10 +135,8 @@ async fn disk(state: &AppState) -> Check {
     responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")),
 )]
 pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
-    if let Ok(counts) = state.store.counts().await {
-        metrics::gauge!("ventricle_jobs", "state" => "queued").set(counts.queued as f64);
-        metrics::gauge!("ventricle_jobs", "state" => "running").set(counts.running as f64);
-        metrics::gauge!("ventricle_oldest_queued_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
+    if let Err(error) = state.store.publish_counts().await {
+        tracing::warn!(%error, "the queue's numbers are those of the last look");
     }
     state.metrics.run_upkeep();
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render())

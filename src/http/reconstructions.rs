@@ -190,7 +190,6 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 }
 
 fn accepted(job: &Job) -> Response {
-    metrics::counter!("ventricle_reconstructions_accepted_total").increment(1);
     located(StatusCode::ACCEPTED, job)
 }
 

@@ -222,7 +222,7 @@ impl Store {
     }
 
     /// Tells the metrics what the rows say and, where other processes change them too, the queue.
-    pub(super) async fn publish_counts(&self) -> Result<(), StoreError> {
+    pub async fn publish_counts(&self) -> Result<(), StoreError> {
         let counts = self.counts().await?;
         if self.inner.database.is_shared() {
             self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });

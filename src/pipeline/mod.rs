@@ -157,6 +157,15 @@ pub enum PipelineError {
         /// Which mark, its value and the limits.
         why: String,
     },
+    /// The slices are said not to be short axis, and nothing was found in them.
+    #[error(
+        "The file names its slices as long-axis slices, and in them no left ventricle was reconstructed ({why}). The method looks for rings: \
+         send the study resliced to its short axis."
+    )]
+    NotShortAxis {
+        /// What was looked for and not found.
+        why: String,
+    },
     /// A gate has no usable border.
     #[error("Gate {gate}: no {} border was found: {why}.", surface.name())]
     NoBorder {
@@ -180,11 +189,23 @@ pub enum PipelineError {
 }
 
 impl PipelineError {
+    /// The same error, or the orientation as its likely cause where intake had doubts about it.
+    fn for_want_of_short_axis(self, study: &Study) -> Self {
+        let doubtful = study.warnings.iter().any(|warning| warning.code == crate::study::LONG_AXIS_SLICES);
+        match self {
+            Self::NoLeftVentricle { why } | Self::NoBorder { why, .. } | Self::NotConverged { why, .. } if doubtful => {
+                Self::NotShortAxis { why }
+            }
+            error => error,
+        }
+    }
+
     /// The stable code of the problem.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Cancelled => "cancelled",
             Self::NoLeftVentricle { .. } => "no_left_ventricle",
+            Self::NotShortAxis { .. } => "not_short_axis",
             Self::RegionOutside { .. } => "region_outside_study",
             Self::NoBorder { .. } => "no_border",
             Self::NotConverged { .. } => "not_converged",
@@ -197,6 +218,10 @@ impl PipelineError {
 /// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, and the
 /// evolution of both surfaces. Gates run in parallel on the caller's rayon pool; nothing is reduced across them in parallel.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
+    reconstruct_cycle(study, parameters, monitor).map_err(|error| error.for_want_of_short_axis(study))
+}
+
+fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
     let (location, extents) = observed(monitor, Stage::Region, None, || {
         let location = region::locate(study, &parameters.region)?;
         let extents = location.extents(study);

@@ -210,7 +210,7 @@ fn volumes_without_a_ventricle_are_refused() {
         uptake: Uptake { background: 0.05, ..Uptake::default() },
         ..Phantom {
             imaging: Imaging { gates: 1, psf: Psf::gaussian(10.0), ..Imaging::default() },
-            ..Phantom::of(Shape::Cylinder(Cylinder { inner_radius_mm: 0.5, inner_height_mm: 1.0, ..Cylinder::default() }))
+            ..Phantom::of(Shape::Cylinder(Cylinder { inner_radius_mm: 1.0, inner_height_mm: 1.0, ..Cylinder::default() }))
         }
     };
     for (name, study) in [("background alone", simulated(&empty)), ("no counts", blank), ("a solid body", simulated(&ball))] {

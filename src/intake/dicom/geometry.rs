@@ -3,7 +3,7 @@
 use super::attributes::{Attributes, invalid};
 use super::object::Object;
 use crate::intake::IntakeError;
-use crate::study::{Orientation, Warning};
+use crate::study::{LONG_AXIS_SLICES, Orientation, Warning};
 use dicom_dictionary_std::tags;
 use glam::DVec3;
 
@@ -173,7 +173,7 @@ fn missing_orientation(attributes: &Attributes) -> Warning {
         }
     };
     Warning::new(
-        "long_axis_slices",
+        LONG_AXIS_SLICES,
         format!(
             "The file has no Image Orientation (Patient) (0020,0037), and its Image ID names {axis} slices; the paper preset expects short-axis slices."
         ),

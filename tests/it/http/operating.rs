@@ -66,7 +66,7 @@ async fn numbers_count_requests_by_route_not_by_id() {
     let text = String::from_utf8(metrics.bytes).unwrap();
     assert!(text.contains("ventricle_http_requests_total{method=\"GET\",path=\"/v1/reconstructions/{id}\",status=\"200\"}"), "{text}");
     assert!(text.contains("ventricle_http_request_duration_seconds_bucket"), "{text}");
-    assert!(text.contains("ventricle_jobs{state=\"queued\"}"), "{text}");
+    assert!(text.contains("ventricle_queue_jobs"), "{text}");
     assert!(!text.contains(path.rsplit('/').next().unwrap()));
 }
 
