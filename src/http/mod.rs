@@ -1,6 +1,6 @@
 //! The HTTP service: routes, layers and what handlers share.
 //!
-//! A handler extracts, makes one domain call and shows the answer; errors of all layers become problem documents in [`problem`] and nowhere
+//! A handler extracts, makes one domain call and shows the answer; errors of all layers become problem documents in `problem` and nowhere
 //! else. The OpenAPI document is made from the very routes that serve.
 
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]

@@ -1,4 +1,4 @@
-//! The borders that the surfaces are drawn to: the rings of each surface (see [`super::rings`]), their gaps bridged and their ends closed.
+//! The borders that the surfaces are drawn to: the rings of each surface (see `rings`), their gaps bridged and their ends closed.
 //!
 //! The paper leaves both ends open. Its mesh then falls in at the base, and one slice more or less is 22 ml of its phantom; here a dome
 //! over the apex and a disc in the valve plane end the surface at heights found between the slices.

@@ -3,9 +3,11 @@
 //! Pure functions: no clock, files, network, environment or database. The same study and parameters give the same result to the last
 //! bit at any number of threads.
 
+mod axis;
 pub mod borders;
 pub mod canny;
 pub mod deform;
+mod ends;
 pub mod gvf;
 pub mod integrate;
 pub mod measure;
