@@ -47,7 +47,7 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_MIN_FREE_DISK_MB", default_value = "256")]
     pub min_free_disk_mb: u64,
 
-    /// Keeps the (already anonymous) input of finished jobs instead of deleting it.
+    /// Keeps the input of finished jobs (counts and UIDs, no names) instead of deleting it.
     #[arg(long, env = "VENTRICLE_KEEP_INPUT")]
     pub keep_input: bool,
 

@@ -8,6 +8,7 @@ mod imports;
 mod intake;
 mod jobs;
 mod openapi;
+mod operations;
 mod phantom;
 mod pipeline;
 mod report;

@@ -1,0 +1,75 @@
+//! What `docs/operations.md` lists is what the program has: every setting and every metric, no more and no less.
+
+use clap::{Arg, Args as _, Command};
+use std::{collections::BTreeSet, fs, path::Path};
+use ventricle::config::ServeSettings;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The rows of the table below a heading of `docs/operations.md`, without its head.
+fn table(heading: &str) -> Vec<String> {
+    let text = fs::read_to_string(root().join("docs/operations.md")).unwrap();
+    let section = text.split(&format!("\n{heading}\n")).nth(1).unwrap_or_else(|| panic!("docs/operations.md has no heading {heading:?}"));
+    let section = section.split("\n## ").next().unwrap();
+    section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|')).skip(2).map(str::to_owned).collect()
+}
+
+/// A setting as the table has it: flag, variable, default, meaning.
+fn row(setting: &Arg) -> String {
+    let flag = format!("`--{}`", setting.get_long().unwrap());
+    let variable = setting.get_env().unwrap().to_str().unwrap();
+    let defaults: Vec<_> = setting.get_default_values().iter().map(|value| format!("`{}`", value.to_str().unwrap())).collect();
+    let help = setting.get_long_help().or(setting.get_help()).unwrap().to_string();
+    let meaning = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    // A default that depends on the machine stands in the text, as clap shows defaults.
+    let (meaning, told) = meaning.split_once(" [default: ").unwrap_or((&meaning, ""));
+    let default = match (defaults.is_empty(), setting.get_action().takes_values()) {
+        (false, _) => defaults.join(", "),
+        (true, true) if told.is_empty() => "none".to_owned(),
+        (true, true) => told.trim_end_matches(['.', ']']).to_owned(),
+        (true, false) => "`false`".to_owned(),
+    };
+    format!("| {flag} | `{variable}` | {default} | {}. |", meaning.trim_end_matches('.'))
+}
+
+#[test]
+fn every_setting_is_in_the_table_as_the_program_has_it() {
+    let command = ServeSettings::augment_args(Command::new("serve"));
+    let expected: Vec<String> = command.get_arguments().map(row).collect();
+    assert!(expected.len() > 10, "{expected:?}");
+    let written = table("## Settings");
+    assert!(
+        written == expected,
+        "the table of settings in docs/operations.md differs from src/config.rs; it should be\n{}",
+        expected.join("\n")
+    );
+}
+
+#[test]
+fn every_metric_is_in_the_table() {
+    let mut expected = BTreeSet::new();
+    metrics_in(&root().join("src"), &mut expected);
+    assert!(expected.len() > 8, "{expected:?}");
+    let written: Vec<String> = table("## Metrics").iter().map(|row| row.split('`').nth(1).unwrap().to_owned()).collect();
+    let unique: BTreeSet<String> = written.iter().cloned().collect();
+    assert_eq!(unique.len(), written.len(), "a metric is listed twice: {written:?}");
+    assert_eq!(unique, expected, "the table of metrics in docs/operations.md (left) differs from the sources (right)");
+}
+
+/// The names in `counter!("…")`, `gauge!("…")` and `histogram!("…")` of the sources, tests left out.
+fn metrics_in(folder: &Path, found: &mut BTreeSet<String>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            metrics_in(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]\nmod tests").next().unwrap();
+            for recorded in ["counter!(\"", "gauge!(\"", "histogram!(\""] {
+                found.extend(code.split(recorded).skip(1).map(|after| after.split('"').next().unwrap().to_owned()));
+            }
+        }
+    }
+}
