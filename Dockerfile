@@ -20,7 +20,7 @@ FROM debian:bookworm-slim
 LABEL org.opencontainers.image.title="Ventricle" \
       org.opencontainers.image.description="Reconstructs the left ventricle from gated cardiac SPECT" \
       org.opencontainers.image.licenses="MIT OR Apache-2.0"
-RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin ventricle \
+RUN useradd --uid 10001 --user-group --no-create-home --shell /usr/sbin/nologin ventricle \
     && install --directory --owner ventricle --group ventricle --mode 0700 /data
 COPY --from=build /build/target/release/ventricle /usr/local/bin/ventricle
 COPY LICENSE LICENSE-MIT LICENSE-APACHE /usr/share/doc/ventricle/
