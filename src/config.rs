@@ -1,6 +1,6 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
-use clap::{Args, Parser, ValueEnum};
+use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
 /// Settings of `ventricle serve`.
@@ -12,7 +12,7 @@ pub struct ServeSettings {
 
     /// Confirms that whatever stands before the service (a reverse proxy, a service mesh, a closed container network) encrypts and
     /// authenticates: needed to listen on anything but a loopback address.
-    #[arg(long, env = "VENTRICLE_BEHIND_AUTHENTICATING_PROXY")]
+    #[arg(long, env = "VENTRICLE_BEHIND_AUTHENTICATING_PROXY", value_parser = BoolishValueParser::new())]
     pub behind_authenticating_proxy: bool,
 
     /// Directory of the embedded database. Made if absent.
@@ -48,7 +48,7 @@ pub struct ServeSettings {
     pub min_free_disk_mb: u64,
 
     /// Keeps the input of finished jobs (counts and UIDs, no names) instead of deleting it.
-    #[arg(long, env = "VENTRICLE_KEEP_INPUT")]
+    #[arg(long, env = "VENTRICLE_KEEP_INPUT", value_parser = BoolishValueParser::new())]
     pub keep_input: bool,
 
     /// Seconds a request body may take to arrive; then 408.
