@@ -178,7 +178,10 @@ pub struct Complaint {
     pub detail: String,
 }
 
-/// Why parameters were refused: everything that is wrong with them, never empty.
+/// Most complaints about one request: more than there are parameters, so that only nonsense has more.
+const MOST_COMPLAINTS: usize = 32;
+
+/// Why parameters were refused: everything that is wrong with them (the first [`MOST_COMPLAINTS`] of it), never empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", sentence(.complaints))]
 pub struct ParameterError {
@@ -206,6 +209,7 @@ pub fn parse(value: &Value) -> Result<Request, ParameterError> {
     let mut complaints = Vec::new();
     check::check(value, &check::schema(), "", &mut complaints);
     if !complaints.is_empty() {
+        complaints.truncate(MOST_COMPLAINTS);
         return Err(ParameterError { complaints });
     }
     serde_json::from_value(value.clone()).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))
@@ -357,6 +361,20 @@ mod tests {
         ] {
             assert_eq!(refused(&sent)[0].0, "unavailable_parameter", "{sent}");
         }
+    }
+
+    #[test]
+    fn a_list_in_a_query_needs_no_brackets() {
+        let read = |text: &str| from_query(&[("region.centre_mm".to_owned(), text.to_owned())]).unwrap()["region"]["centre_mm"].clone();
+        assert_eq!(read("30,31.5"), json!([30, 31.5]));
+        assert_eq!(read("[30,31.5]"), json!([30, 31.5]));
+        assert_eq!(read("30,x"), json!("30,x"));
+    }
+
+    #[test]
+    fn complaints_end_somewhere() {
+        let many: serde_json::Map<_, _> = (0..1000).map(|i| (i.to_string(), 1.into())).collect();
+        assert_eq!(parse(&many.into()).unwrap_err().complaints.len(), MOST_COMPLAINTS);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::parameters;
 use axum::{
-    body::{Body, Bytes},
+    body::{Body, BodyDataStream, Bytes},
     http::{HeaderMap, header},
 };
 use futures_util::{FutureExt, StreamExt, stream};
@@ -14,6 +14,12 @@ use std::{convert::Infallible, time::Duration};
 const MOST_PARTS: usize = 4097;
 /// Most bytes of the part `parameters`: parsed JSON takes many times its text.
 const MOST_PARAMETER_BYTES: usize = 256 << 10;
+/// Most characters of a header that are repeated to the client.
+const SHOWN_CHARACTERS: usize = 40;
+/// Time that a refused body gets to arrive.
+const DISCARD_TIME: Duration = Duration::from_secs(10);
+/// How many times the limit of bytes of a refused body are waited for.
+const DISCARD_LIMITS: u64 = 4;
 /// Longest boundary: Orthanc's have 73 characters where RFC 2046 allows 70.
 const LONGEST_BOUNDARY: usize = 256;
 
@@ -37,6 +43,12 @@ pub(super) enum BodyError {
     /// The connection broke.
     #[error("The body ended before it was complete. Send it again.")]
     Interrupted,
+    /// Compressed on the way.
+    #[error("The body has the Content-Encoding `{encoding}`, which is not read here. Send it as it is; NIfTI may be a .nii.gz file.")]
+    Encoded {
+        /// What the header says, shortened.
+        encoding: String,
+    },
     /// `Content-Length` is no number.
     #[error("The header Content-Length is not a number.")]
     ContentLength,
@@ -83,6 +95,7 @@ impl BodyError {
             Self::TooLarge { .. } | Self::ParametersTooLarge { .. } => "too_large",
             Self::TooSlow { .. } => "request_timeout",
             Self::Interrupted => "incomplete_body",
+            Self::Encoded { .. } => "unsupported_encoding",
             Self::ContentLength => "invalid_content_length",
             Self::NoBoundary | Self::Multipart { .. } => "malformed_multipart",
             Self::ParametersNotJson { .. } | Self::SeveralParameters => "malformed_parameters",
@@ -98,6 +111,36 @@ pub(super) fn announced(headers: &HeaderMap, limit: u64) -> Result<u64, BodyErro
     if length > limit { Err(BodyError::TooLarge { limit }) } else { Ok(length) }
 }
 
+/// Refuses a body that was compressed on the way: what is signed, hashed and limited are the bytes that arrive.
+pub(super) fn plain(headers: &HeaderMap) -> Result<(), BodyError> {
+    let codings = headers.get_all(header::CONTENT_ENCODING).iter().map(|value| String::from_utf8_lossy(value.as_bytes()));
+    match codings.into_iter().find(|coding| !coding.trim().is_empty() && !coding.trim().eq_ignore_ascii_case("identity")) {
+        Some(coding) => Err(BodyError::Encoded { encoding: coding.chars().take(SHOWN_CHARACTERS).collect() }),
+        None => Ok(()),
+    }
+}
+
+/// Lets a refused body arrive and forgets it. Most clients send all before they listen; a connection that is closed over bytes nobody read is
+/// reset, and the refusal lost with it. Those that ask with `Expect: 100-continue` wait for the answer and send nothing.
+pub(super) async fn discard(headers: &HeaderMap, body: Body, limit: u64) {
+    if !headers.contains_key(header::EXPECT) {
+        discard_rest(&mut body.into_data_stream(), limit).await;
+    }
+}
+
+async fn discard_rest(chunks: &mut BodyDataStream, limit: u64) {
+    let arrival = async {
+        let mut left = limit.saturating_mul(DISCARD_LIMITS);
+        while let Some(Ok(chunk)) = chunks.next().await
+            && left > 0
+        {
+            left = left.saturating_sub(chunk.len() as u64);
+        }
+    };
+    // Over time or not: the refusal is the same.
+    let _ = tokio::time::timeout(DISCARD_TIME, arrival).await;
+}
+
 /// Reads a whole body of at most `limit` bytes within a time.
 pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
     tokio::time::timeout(within, collect(body, limit)).await.unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
@@ -109,6 +152,8 @@ async fn collect(body: Body, limit: u64) -> Result<Bytes, BodyError> {
     while let Some(chunk) = chunks.next().await {
         let chunk = chunk.map_err(|_| BodyError::Interrupted)?;
         if (bytes.len() + chunk.len()) as u64 > limit {
+            drop(bytes);
+            discard_rest(&mut chunks, limit).await;
             return Err(BodyError::TooLarge { limit });
         }
         bytes.extend_from_slice(&chunk);

@@ -11,6 +11,7 @@ mod events;
 mod extract;
 mod health;
 mod layers;
+mod listener;
 mod negotiate;
 mod problem;
 mod reconstructions;

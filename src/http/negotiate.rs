@@ -14,10 +14,10 @@ pub(super) struct NotAcceptable {
     pub offered: &'static str,
 }
 
-/// Whether `Accept` (RFC 9110 §12.5.1) allows the one media type there is. No header allows everything. The most specific range decides.
+/// Whether `Accept` (RFC 9110 §12.5.1) allows the one media type there is. No header, or one that lists nothing, allows everything. The most specific range decides.
 pub(super) fn acceptable(headers: &HeaderMap, offered: &'static str) -> Result<(), NotAcceptable> {
-    let mut listed =
-        headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(',')).peekable();
+    let listed = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(','));
+    let mut listed = listed.filter(|entry| !entry.trim().is_empty()).peekable();
     if listed.peek().is_none() {
         return Ok(());
     }
@@ -71,6 +71,8 @@ mod tests {
     fn accept_is_read_as_http_says() {
         assert!(acceptable(&HeaderMap::new(), "application/json").is_ok());
         for (accept, allowed) in [
+            ("", true),
+            (" , ", true),
             ("*/*", true),
             ("application/json", true),
             ("application/*;q=0.1", true),

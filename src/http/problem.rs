@@ -5,6 +5,7 @@ use crate::{
     intake::{IntakeError, Nature},
     jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
+    pipeline::PipelineError,
 };
 use axum::{
     body::Body,
@@ -185,11 +186,19 @@ impl From<ParameterError> for Problem {
     }
 }
 
+/// What is wrong with a given region is known as soon as the study is; everything else that can fail in the pipeline is told by the job.
+impl From<PipelineError> for Problem {
+    fn from(error: PipelineError) -> Self {
+        Self::new(StatusCode::UNPROCESSABLE_ENTITY, error.code(), sentence(&error.to_string()))
+    }
+}
+
 impl From<BodyError> for Problem {
     fn from(error: BodyError) -> Self {
         let status = match error {
             BodyError::TooLarge { .. } | BodyError::ParametersTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             BodyError::TooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
+            BodyError::Encoded { .. } => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             BodyError::Interrupted
             | BodyError::ContentLength
             | BodyError::NoBoundary
@@ -260,7 +269,10 @@ impl From<NotAcceptable> for Problem {
 
 impl From<QueryRejection> for Problem {
     fn from(rejection: QueryRejection) -> Self {
-        Self::new(StatusCode::BAD_REQUEST, "invalid_query", sentence(&rejection.body_text()))
+        let text = rejection.body_text();
+        // Without the extractor's own words: what follows names the field.
+        let why = text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text);
+        Self::new(StatusCode::BAD_REQUEST, "invalid_query", sentence(&format!("The query is not accepted: {why}")))
     }
 }
 

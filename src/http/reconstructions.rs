@@ -10,8 +10,9 @@ use super::{
 };
 use crate::{
     intake, jobs,
-    jobs::{Deletion, Job, ListQuery, NewJob, Submitted},
+    jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
     parameters,
+    pipeline::region,
 };
 use axum::{
     Json,
@@ -41,10 +42,11 @@ pub(super) struct SubmitQuery {
     /// The named set of parameters to start from: `paper`.
     #[param(example = "paper")]
     preset: Option<String>,
-    /// Distance between voxel centres along slices, rows and columns in mm, `z,y,x`. Needed with `application/x-npy`, which cannot say it.
+    /// Distance between voxel centres along slices, rows and columns in mm, `z,y,x`. Needed with `application/x-npy`, which cannot say it, and
+    /// refused with all else, which says it.
     #[param(example = "5.74,2.87,2.87")]
     spacing_mm: Option<String>,
-    /// Any other parameter by its dotted name, as `mesh.level=4&edges.sigma=1.5`. Wins over those of the part `parameters` and of a JSON body.
+    /// Any other parameter by its dotted name, as `mesh.level=4&region.centre_mm=90,85`. Wins over those of the part `parameters` and of a JSON body.
     #[param(style = Form, explode, example = json!({"mesh.level": "3"}))]
     parameters: Option<BTreeMap<String, String>>,
 }
@@ -129,12 +131,14 @@ pub(super) async fn submit(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    negotiate::acceptable(&headers, "application/json")?;
-    state.accepts_work()?;
-    let idempotency_key = idempotency_key(&headers)?;
-    let announced = body::announced(&headers, state.limits.body_bytes as u64)?;
-    let mut reservation = state.store.reserve(announced)?;
-    let bytes = body::read(body, announced, state.upload_time).await?;
+    let (idempotency_key, mut reservation) = match admit(&state, &headers) {
+        Ok(admitted) => admitted,
+        Err(refusal) => {
+            body::discard(&headers, body, state.limits.body_bytes as u64).await;
+            return Err(refusal);
+        }
+    };
+    let bytes = body::read(body, reservation.bytes(), state.upload_time).await?;
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let new = state.parse(move |limits| receive(content_type.as_deref(), bytes, query, idempotency_key, limits)).await?;
@@ -142,6 +146,16 @@ pub(super) async fn submit(
         Submitted::Created(job) => Ok(accepted(&job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
     }
+}
+
+/// What the headers of a submission decide: its key and its place in the queue, taken before the body is read.
+fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation), Problem> {
+    negotiate::acceptable(headers, "application/json")?;
+    state.accepts_work()?;
+    body::plain(headers)?;
+    let idempotency_key = idempotency_key(headers)?;
+    let announced = body::announced(headers, state.limits.body_bytes as u64)?;
+    Ok((idempotency_key, state.store.reserve(announced)?))
 }
 
 /// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
@@ -163,19 +177,18 @@ fn receive(
         .collect();
     let received = intake::read(&parts, &options, limits)?;
     let parameters = parameters::parse(&merged_parameters(received.parameters, upload.parameters, query))?;
-    Ok(NewJob {
-        owner: OWNER.to_owned(),
-        idempotency_key,
-        request_hash,
-        study: received.study,
-        parameters: parameters::resolve(parameters)?,
-    })
+    let parameters = parameters::resolve(parameters)?;
+    region::check_marks(&received.study.grid, &parameters.region)?;
+    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters })
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.
 fn take_spacing(query: &mut Vec<(String, String)>) -> Result<Option<[f64; 3]>, Problem> {
     let Some(at) = query.iter().position(|(key, _)| key == "spacing_mm") else { return Ok(None) };
     let (_, text) = query.remove(at);
+    if query.iter().any(|(key, _)| key == "spacing_mm") {
+        return Err(Problem::new(StatusCode::BAD_REQUEST, "invalid_query", "The query gives `spacing_mm` more than once."));
+    }
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse::<f64>()).collect();
     let spacing = numbers.ok().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
     let detail = "The query's `spacing_mm` must be three numbers in mm, `z,y,x`, as spacing_mm=5.74,2.87,2.87.";

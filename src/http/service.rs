@@ -1,6 +1,6 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, router};
+use super::{AppState, listener, router};
 use crate::{
     config::{ConfigError, ServeSettings},
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
@@ -43,7 +43,7 @@ pub struct Running {
     address: SocketAddr,
     draining: CancellationToken,
     closing: CancellationToken,
-    listener: JoinHandle<io::Result<()>>,
+    listener: JoinHandle<()>,
     workers: Arc<Workers>,
     store: Store,
     drain_time: Duration,
@@ -66,7 +66,7 @@ impl Running {
         self.closing.cancel();
         let abort = self.listener.abort_handle();
         match tokio::time::timeout(LAST_ANSWERS, self.listener).await {
-            Ok(ended) => ended.map_err(io::Error::other)??,
+            Ok(ended) => ended.map_err(io::Error::other)?,
             Err(_) => abort.abort(),
         }
         self.store.close().await;
@@ -84,9 +84,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
     let state = state(settings, &store, &workers);
     let (draining, closing) = (state.draining(), CancellationToken::new());
-    let closed = closing.clone().cancelled_owned();
-    let server = axum::serve(listener, router(state)).with_graceful_shutdown(closed);
-    let listener = tokio::spawn(async move { server.await });
+    let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
     Ok(Running { address, draining, closing, listener, workers, store, drain_time: settings.drain_time() })
 }
 

@@ -42,6 +42,8 @@ pub(super) fn within<T: PartialOrd + Display + Copy>(what: &str, value: T, range
     if range.contains(&value) {
         return Ok(());
     }
+    let value = value.to_string();
+    let what = if value == "1" { what.trim_end_matches('s') } else { what };
     Err(IntakeError::OutsideLimits { what: format!("{value} {what}"), accepted: format!("{} to {}", range.start(), range.end()) })
 }
 

@@ -28,7 +28,7 @@ fn none<P>() -> Option<P> {
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "an object with `gates`, `shape` and `spacing_mm`")]
 struct Extent {
     #[serde(default = "one")]
     gates: usize,

@@ -13,7 +13,7 @@ use sqlx::{
         SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteLockingMode, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
     },
 };
-use std::{path::Path, time::Duration};
+use std::{io, path::Path, time::Duration};
 
 /// The database file inside the data directory.
 const FILE_NAME: &str = "ventricle.sqlite";
@@ -119,7 +119,7 @@ impl Database {
                 Err(error) => {
                     pool.close().await;
                     if !is_locked(&error) {
-                        return Err(error.into());
+                        return Err(StoreError::Directory { directory: directory.to_path_buf(), source: io::Error::other(error) });
                     }
                     if tokio::time::Instant::now() >= deadline {
                         return Err(StoreError::DirectoryInUse { directory: directory.to_path_buf() });

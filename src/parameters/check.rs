@@ -64,7 +64,7 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
     if let (Some(number), Some(least), Some(most)) = (value.as_f64(), schema["minimum"].as_f64(), schema["maximum"].as_f64())
         && !(least..=most).contains(&number)
     {
-        return complain("invalid_parameter", pointer, format!("{name} is {number}; allowed is {least} to {most}."));
+        return complain("invalid_parameter", pointer, format!("{name} is {}; allowed is {least} to {most}.", shortened(value)));
     }
     match value {
         Value::Array(items) => {

@@ -6,8 +6,8 @@ use serde_json::{Map, Value};
 /// Dots in a name before it is refused unread: the parameters have one, and nesting costs stack.
 const MAX_SECTIONS: usize = 8;
 
-/// Parameters from a query string's pairs, nested by dots: `mesh.level=4` is `{"mesh": {"level": 4}}`. Values are read as JSON and, where
-/// they are none, as text.
+/// Parameters from a query string's pairs, nested by dots: `mesh.level=4` is `{"mesh": {"level": 4}}`. Values are read as JSON,
+/// `1,2` as the array that it would be in brackets, and all else as text.
 pub fn from_query(pairs: &[(String, String)]) -> Result<Value, ParameterError> {
     let mut root = Map::new();
     for (key, text) in pairs {
@@ -26,12 +26,17 @@ pub fn from_query(pairs: &[(String, String)]) -> Result<Value, ParameterError> {
                 ParameterError::one("invalid_parameter", &pointer, format!("`{key}`: `{section}` was already given as a value."))
             })?;
         }
-        let value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.clone()));
+        let value = value(text);
         if object.insert(field.to_owned(), value).is_some() {
             return Err(ParameterError::one("invalid_parameter", &pointer, format!("`{key}` is given twice.")));
         }
     }
     Ok(Value::Object(root))
+}
+
+fn value(text: &str) -> Value {
+    let list = || text.contains(',').then(|| serde_json::from_str(&format!("[{text}]")).ok()).flatten();
+    serde_json::from_str(text).ok().or_else(list).unwrap_or_else(|| Value::String(text.to_owned()))
 }
 
 /// Lays `over` upon `base`, object by object: what `over` says wins.

@@ -220,7 +220,8 @@ pub fn locate(study: &Study, marks: &RegionMarks) -> Result<Location, PipelineEr
     Ok(location)
 }
 
-fn check_marks(grid: &Grid, marks: &RegionMarks) -> Result<(), PipelineError> {
+/// That the marks that are given lie inside a grid.
+pub fn check_marks(grid: &Grid, marks: &RegionMarks) -> Result<(), PipelineError> {
     let fail = |why: String| Err(PipelineError::RegionOutside { why });
     let [slices, rows, columns] = grid.shape;
     let [_, dy, dx] = grid.spacing_mm;
@@ -228,11 +229,11 @@ fn check_marks(grid: &Grid, marks: &RegionMarks) -> Result<(), PipelineError> {
     if let Some([x, y]) = marks.centre_mm
         && !((0.0..=width).contains(&x) && (0.0..=height).contains(&y))
     {
-        return fail(format!("`centre_mm` is [{x}, {y}], but the slices reach from [0, 0] to [{width:.1}, {height:.1}] mm"));
+        return fail(format!("`centre_mm` is [{x:?}, {y:?}], but the slices reach from [0, 0] to [{width:.1}, {height:.1}] mm"));
     }
     let (first, last) = (marks.first_slice.unwrap_or(1), marks.last_slice.unwrap_or(slices));
     if first < 1 || last > slices || first >= last {
-        return fail(format!("`first_slice` {first} to `last_slice` {last} is no range within its slices 1 to {slices}"));
+        return fail(format!("`first_slice` {first} to `last_slice` {last} is no range of two or more within its slices 1 to {slices}"));
     }
     Ok(())
 }

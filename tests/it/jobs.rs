@@ -447,6 +447,18 @@ async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain() {
 }
 
 #[tokio::test]
+async fn a_directory_that_cannot_be_used_is_named() {
+    let place = Place::sqlite();
+    std::fs::create_dir_all(&place.directory).unwrap();
+    std::fs::write(place.directory.join("ventricle.sqlite"), "no database ".repeat(500)).unwrap();
+    let refused = Store::open(place.settings()).await.unwrap_err();
+    assert!(
+        matches!(refused, StoreError::Directory { .. }) && refused.to_string().contains(place.directory.to_str().unwrap()),
+        "{refused}"
+    );
+}
+
+#[tokio::test]
 async fn a_directory_serves_one_store() {
     let place = Place::sqlite();
     let store = place.open().await;

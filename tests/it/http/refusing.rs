@@ -3,7 +3,14 @@
 use super::harness::{idle, instant, study, with, working};
 use axum::body::{Body, Bytes};
 use futures_util::{StreamExt, stream};
-use std::{convert::Infallible, time::Duration};
+use std::{
+    convert::Infallible,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
 use ventricle::jobs::StoreSettings;
 
 const NOWHERE: &str = "/v1/reconstructions/01900000-0000-7000-8000-000000000000";
@@ -85,6 +92,53 @@ async fn what_is_no_study_is_refused_by_kind() {
     let mut flat = study(0);
     flat["counts"] = "AAAA".repeat(flat["counts"].as_str().unwrap().len() / 4).into();
     service.post("", &[("content-type", "application/json")], flat.to_string()).await.problem(422, "no_counts");
+}
+
+#[tokio::test]
+async fn a_body_compressed_on_the_way_is_refused_as_such() {
+    let service = idle().await;
+    let json = ("content-type", "application/json");
+    for encoding in ["gzip", "br", "identity, gzip"] {
+        let answer = service.post("", &[json, ("content-encoding", encoding)], study(0).to_string()).await;
+        let problem = answer.problem(415, "unsupported_encoding");
+        assert!(problem["detail"].as_str().unwrap().contains(encoding), "{problem}");
+    }
+    assert_eq!(service.post("", &[json, ("content-encoding", "identity")], study(0).to_string()).await.status, 202);
+}
+
+#[tokio::test]
+async fn marks_outside_of_the_study_are_refused_at_once() {
+    let service = idle().await;
+    let json = [("content-type", "application/json")];
+    for query in
+        ["?region.first_slice=100", "?region.last_slice=7", "?region.first_slice=3&region.last_slice=3", "?region.centre_mm=1e300,2"]
+    {
+        service.post(query, &json, study(0).to_string()).await.problem(422, "region_outside_study");
+    }
+    assert_eq!(service.post("?region.centre_mm=40,35.5&region.last_slice=6", &json, study(0).to_string()).await.status, 202);
+}
+
+#[tokio::test]
+async fn a_spacing_that_would_not_be_used_is_refused() {
+    let service = idle().await;
+    let json = [("content-type", "application/json")];
+    service.post("?spacing_mm=1,1,1", &json, study(0).to_string()).await.problem(422, "needless_spacing");
+    service.post("?spacing_mm=1,1,1&spacing_mm=2,2,2", &json, study(0).to_string()).await.problem(400, "invalid_query");
+}
+
+/// A client that sends all before it listens would find its connection reset and never learn why.
+#[tokio::test]
+async fn a_refused_body_is_let_in_unless_the_client_waits_to_be_asked() {
+    let service = with(StoreSettings { max_queued_jobs: 1, ..StoreSettings::default() }, None, |state| state).await;
+    service.submit(0).await;
+    for (headers, chunks) in [(&[][..], 5), (&[("expect", "100-continue")][..], 0)] {
+        let read = Arc::new(AtomicUsize::new(0));
+        let counted = Arc::clone(&read);
+        let body = stream::iter((0..5).map(|_| Bytes::from_static(&[0; 1000])))
+            .map(move |chunk| Ok::<_, Infallible>((counted.fetch_add(1, Ordering::SeqCst), chunk).1));
+        service.post("", headers, Body::from_stream(body)).await.problem(503, "queue_full");
+        assert_eq!(read.load(Ordering::SeqCst), chunks, "{headers:?}");
+    }
 }
 
 #[tokio::test]
