@@ -181,7 +181,7 @@ pub struct Complaint {
 /// Most complaints about one request: more than there are parameters, so that only nonsense has more.
 const MOST_COMPLAINTS: usize = 32;
 
-/// Why parameters were refused: everything that is wrong with them (the first [`MOST_COMPLAINTS`] of it), never empty.
+/// Why parameters were refused: everything that is wrong with them (the first `MOST_COMPLAINTS` of it), never empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", sentence(.complaints))]
 pub struct ParameterError {
