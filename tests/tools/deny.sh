@@ -9,7 +9,7 @@ if ! command -v cargo-deny >/dev/null; then
     echo "not checked: licences and advisories, as cargo-deny is not installed (cargo install --locked cargo-deny)"
     exit 0
   fi
-  CARGO_TARGET_DIR= cargo install --quiet --locked cargo-deny
+  env -u CARGO_TARGET_DIR cargo install --quiet --locked cargo-deny
 fi
 cargo deny --locked check bans licenses sources
 if log=$(cargo deny --locked check advisories 2>&1); then
