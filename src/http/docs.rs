@@ -9,7 +9,10 @@ use axum::{
     response::{Html, IntoResponse},
 };
 use serde::Serialize;
-use utoipa::{OpenApi, ToSchema};
+use utoipa::{
+    OpenApi, ToSchema,
+    openapi::{ContentBuilder, Ref, ResponseBuilder},
+};
 use utoipa_swagger_ui::{Config, SwaggerUi};
 
 /// What stands before the routes in the contract.
@@ -34,6 +37,23 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
     components(schemas(parameters::Request, Problem)),
 )]
 pub(super) struct Contract;
+
+/// Says of every operation what is true of all: that whatever else goes wrong (a fault inside, a database that does not answer) is a
+/// problem document too.
+pub(super) fn document_other_problems(document: &mut utoipa::openapi::OpenApi) {
+    let problem = || {
+        let schema = Ref::from_schema_name("Problem");
+        ResponseBuilder::new()
+            .description("Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long")
+            .content("application/problem+json", ContentBuilder::new().schema(Some(schema)).build())
+            .build()
+    };
+    for item in document.paths.paths.values_mut() {
+        for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
+            operation.responses.responses.insert("default".to_owned(), problem().into());
+        }
+    }
+}
 
 /// All parameters.
 #[derive(Debug, Serialize, ToSchema)]

@@ -110,9 +110,14 @@ async fn checks(state: &AppState) -> Checks {
     };
     let workers = (state.workers_alive)();
     let draining = state.draining.is_cancelled();
+    let doing = match (workers, draining) {
+        (true, _) => "all workers run",
+        (false, true) => "take no more jobs",
+        (false, false) => "a worker has ended",
+    };
     Checks {
         store: Check::new(store.is_ok(), if store.is_ok() { "the database answers" } else { "the database does not answer" }),
-        workers: Check::new(workers, if workers { "all workers run" } else { "a worker has ended" }),
+        workers: Check::new(workers, doing),
         queue,
         disk: disk(state).await,
         service: Check::new(!draining, if draining { "is stopping" } else { "accepts work" }),

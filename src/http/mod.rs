@@ -174,7 +174,9 @@ pub fn router(state: AppState) -> Router {
 
 /// The OpenAPI document of the routes.
 pub fn openapi_document() -> utoipa::openapi::OpenApi {
-    routes().into_openapi()
+    let mut document = routes().into_openapi();
+    docs::document_other_problems(&mut document);
+    document
 }
 
 /// The OpenAPI document as text, as `openapi/openapi.json` has it.

@@ -13,6 +13,7 @@ use crate::{
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
     parameters,
     pipeline::region,
+    study::Format,
 };
 use axum::{
     Json,
@@ -176,6 +177,11 @@ fn receive(
         .map(|file| intake::Part { media_type: file.media_type.as_deref(), filename: file.filename.as_deref(), bytes: &file.bytes })
         .collect();
     let received = intake::read(&parts, &options, limits)?;
+    if options.spacing_mm.is_some() && received.study.acquisition.format != Format::Npy {
+        let detail =
+            "The query gives `spacing_mm`, but the study says itself how far apart its voxels are. Leave it out: it is for NPY alone.";
+        return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
+    }
     let parameters = parameters::parse(&merged_parameters(received.parameters, upload.parameters, query))?;
     let parameters = parameters::resolve(parameters)?;
     region::check_marks(&received.study.grid, &parameters.region)?;

@@ -207,14 +207,6 @@ pub enum IntakeError {
     /// NPY without the distance between voxels.
     #[error("an NPY array does not say how far apart its voxels are; give spacing_mm=z,y,x in the query")]
     MissingSpacing,
-    /// A distance between voxels beside a format that has its own.
-    #[error(
-        "spacing_mm is given beside a file ({format}) that says itself how far apart its voxels are; leave it out, it is for NPY alone"
-    )]
-    NeedlessSpacing {
-        /// The format received.
-        format: &'static str,
-    },
     /// A JSON body that does not follow the contract.
     #[error("the JSON body is not accepted: {reason}")]
     MalformedJson {
@@ -257,7 +249,6 @@ impl IntakeError {
             Self::DamagedGzip { .. } => "damaged_gzip",
             Self::MalformedNpy { .. } => "malformed_npy",
             Self::MissingSpacing => "missing_spacing",
-            Self::NeedlessSpacing { .. } => "needless_spacing",
             Self::MalformedJson { .. } => "malformed_json",
             Self::UnreadableDataSet { .. } => "unreadable_data_set",
         }
@@ -288,8 +279,7 @@ impl IntakeError {
             | Self::OutsideLimits { .. }
             | Self::NotFinite { .. }
             | Self::NoCounts
-            | Self::MissingSpacing
-            | Self::NeedlessSpacing { .. } => Nature::Refused,
+            | Self::MissingSpacing => Nature::Refused,
         }
     }
 }

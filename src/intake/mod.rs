@@ -124,9 +124,6 @@ pub fn read(parts: &[Part<'_>], options: &Options, limits: &Limits) -> Result<Re
             format => format,
         })
         .collect::<Result<Vec<_>, _>>()?;
-    if let (Some(_), Some(format)) = (options.spacing_mm, formats.iter().find(|format| **format != sniff::Format::Npy)) {
-        return Err(IntakeError::NeedlessSpacing { format: format.name() });
-    }
     let study = match (parts, formats.as_slice()) {
         ([part], [sniff::Format::Json]) => return json::read(part.bytes, limits),
         ([part], [sniff::Format::Npy]) => npy::read(part.bytes, options, limits)?,

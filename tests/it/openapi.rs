@@ -36,7 +36,7 @@ fn every_route_of_the_contract_is_documented() {
             assert!(ids.insert(operation["operationId"].as_str().unwrap().to_owned()), "{operation}");
             assert!(operation["summary"].is_string() && operation["tags"][0].is_string(), "{method} {path} is not described");
             for (status, response) in operation["responses"].as_object().unwrap() {
-                let is_problem = status.starts_with(['4', '5']);
+                let is_problem = status == "default" || status.starts_with(['4', '5']);
                 let content =
                     response["content"].as_object().map(|content| content.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
                 assert_eq!(content == ["application/problem+json"], is_problem, "{method} {path} {status}: {content:?}");

@@ -84,7 +84,9 @@ impl Service {
         let address = address(listen)?;
         fs::create_dir_all(data_dir).with_context(|| format!("{} could not be made", data_dir.display()))?;
         let log = data_dir.join("service.log");
-        let file = File::create(&log).with_context(|| format!("{} could not be written", log.display()))?;
+        // Appended to: should another demo use the directory, its service still writes there.
+        let file =
+            File::options().create(true).append(true).open(&log).with_context(|| format!("{} could not be written", log.display()))?;
         let program = std::env::current_exe().context("the path of this program is unknown")?;
         let child = Command::new(program)
             .args(["serve", "--listen", &address.to_string(), "--data-dir"])
