@@ -25,7 +25,7 @@ pub struct BorderPoint {
     pub normal: DVec3,
 }
 
-/// The voxels of one border, in memory order, each once.
+/// The voxels of one border, each once: first those with an edge, then bridges, valve plane and apex.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Border {
     /// The border's voxels.

@@ -474,40 +474,6 @@ async fn a_directory_serves_one_store() {
     assert_eq!(store.counts().await.unwrap().queued, 1);
 }
 
-/// Not a test by itself: the other process of [`a_directory_serves_one_process`], which prints what opening the directory said.
-#[tokio::test]
-#[ignore = "run by a_directory_serves_one_process"]
-#[expect(clippy::disallowed_methods, reason = "how one test process tells the other where")]
-async fn open_as_another_process() {
-    let directory = PathBuf::from(std::env::var_os("VENTRICLE_TEST_DIRECTORY").unwrap());
-    let settings =
-        StoreSettings { backend: Backend::Sqlite { directory }, directory_wait: Duration::from_millis(200), ..StoreSettings::default() };
-    match Store::open(settings).await {
-        Ok(_) => println!("opened"),
-        Err(error) => println!("refused: {error}"),
-    }
-}
-
-#[tokio::test]
-async fn a_directory_serves_one_process() {
-    let place = Place::sqlite();
-    let store = place.open().await;
-    let open = || {
-        let output = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "jobs::open_as_another_process", "--ignored", "--nocapture"])
-            .env("VENTRICLE_TEST_DIRECTORY", &place.directory)
-            .output()
-            .unwrap();
-        String::from_utf8(output.stdout).unwrap()
-    };
-    let refused = open();
-    assert!(refused.contains("refused:") && refused.contains("is in use by another process"), "{refused}");
-    submit(&store).await;
-    store.close().await;
-    let opened = open();
-    assert!(opened.contains("opened"), "{opened}");
-}
-
 #[tokio::test]
 async fn damaged_data_and_a_later_schema_are_noticed() {
     let place = Place::sqlite();
