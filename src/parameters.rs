@@ -83,6 +83,9 @@ pub struct Edges {
     /// Edges slice by slice, or in the volume with distances in mm.
     #[schema(inline, default = "slice")]
     pub mode: Option<EdgeMode>,
+    /// Closes the borders by a dome over the apex and a disc in the valve plane; `false` leaves them open, as the paper does.
+    #[schema(default = true)]
+    pub close_ends: Option<bool>,
 }
 
 /// Gradient operators.
@@ -234,6 +237,7 @@ pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
     out.edges.sigma = edges.sigma.unwrap_or(out.edges.sigma);
     out.edges.low = edges.low.unwrap_or(out.edges.low);
     out.edges.high = edges.high.unwrap_or(out.edges.high);
+    out.edges.close_ends = edges.close_ends.unwrap_or(out.edges.close_ends);
     out.edges.mode = edges.mode.map_or(out.edges.mode, |mode| match mode {
         EdgeMode::Slice => chosen::EdgeMode::Slice,
         EdgeMode::Volume => chosen::EdgeMode::Volume,
@@ -309,7 +313,7 @@ mod tests {
         let sent = json!({
             "preset": "paper",
             "region": {"centre_mm": [90.0, 95.5], "radius_mm": 60.0, "first_slice": 3, "last_slice": 20},
-            "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume"},
+            "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume", "close_ends": false},
             "gvf": {"mu": 5.0, "tolerance": 1e-5},
             "mesh": {"level": 4},
             "deform": {"model": "free", "solver": "rk4", "time_step_s": 0.05, "damping_percent": 2.0, "smoothing": false, "max_steps": 100},

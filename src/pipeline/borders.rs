@@ -35,7 +35,7 @@ pub struct Border {
 /// The borders of a gate.
 #[derive(Debug, Clone)]
 pub struct Borders {
-    /// Both borders, closed at their ends.
+    /// Both borders, their gaps bridged and, if wanted, their ends closed.
     pub found: PerSurface<Border>,
     /// Mean angular coverage over the useful slices that have a border, 0-1.
     pub coverage: PerSurface<f64>,
@@ -56,18 +56,18 @@ pub fn check(gate: usize, surface: Surface, border: &Border) -> Result<(), Pipel
 
 /// Finds both borders of a gate between its apex and its valve plane.
 pub fn borders(gradient: &Gradient, extent: &Extent, parameters: &Parameters) -> Borders {
-    let grid = gradient.field.grid;
+    let (grid, close_ends) = (gradient.field.grid, parameters.edges.close_ends);
     let outer = rings(gradient, extent, parameters, Surface::Epicardial, &vec![None; grid.shape[0]]);
     let inner = rings(gradient, extent, parameters, Surface::Endocardial, &outer.radius_mm);
     Borders {
         coverage: PerSurface { endocardial: inner.mean_coverage(), epicardial: outer.mean_coverage() },
-        found: PerSurface { endocardial: inner.close(grid, extent), epicardial: outer.close(grid, extent) },
+        found: PerSurface { endocardial: inner.border(grid, extent, close_ends), epicardial: outer.border(grid, extent, close_ends) },
     }
 }
 
 impl Rings {
-    /// The rings as a border, closed by a dome over the apex and a disc in the valve plane.
-    fn close(&self, grid: Grid, extent: &Extent) -> Border {
+    /// The rings as a border, if wanted closed by a dome over the apex and a disc in the valve plane.
+    fn border(&self, grid: Grid, extent: &Extent, close_ends: bool) -> Border {
         let mut border = BorderBuilder::new(grid);
         for edge in &self.points {
             border.add(edge.voxel, edge.position_mm, edge.uphill);
@@ -78,6 +78,9 @@ impl Rings {
         let (Some(apical), Some(basal)) = (self.end_ring(extent, End::Apex), self.end_ring(extent, End::Base)) else {
             return Border::default();
         };
+        if !close_ends {
+            return Border { points: border.points };
+        }
         border.disc(extent, &basal);
         let apex_mm = if self.surface == Surface::Endocardial { extent.apex_mm.endocardial } else { extent.apex_mm.epicardial };
         border.dome(extent, &apical, apex_mm);

@@ -57,6 +57,8 @@ pub struct EdgeParameters {
     pub high: f64,
     /// Two or three dimensions.
     pub mode: EdgeMode,
+    /// Whether a dome over the apex and a disc in the valve plane close the borders' ends.
+    pub close_ends: bool,
 }
 
 /// The gradient operators.
@@ -136,7 +138,15 @@ impl Parameters {
             preset: Preset::Paper,
             region: RegionMarks::default(),
             // §7.1: "1.8 for the Gaussian, 0.3 for the low threshold and 0.8 for the high threshold".
-            edges: EdgeParameters { operator: EdgeOperator::Canny, sigma: 1.8, low: 0.3, high: 0.8, mode: EdgeMode::Slice },
+            // The paper leaves the ends open; its meshes then fall in at the base (`docs/numerics.md`).
+            edges: EdgeParameters {
+                operator: EdgeOperator::Canny,
+                sigma: 1.8,
+                low: 0.3,
+                high: 0.8,
+                mode: EdgeMode::Slice,
+                close_ends: true,
+            },
             // §7.5: "a GVF balancing constant of 10"; the tolerance is ours: the field's direction no longer changes below it.
             gvf: GvfParameters { mu: 10.0, tolerance: 1e-4 },
             // §7.4: "the selected initial mesh is the one labelled as 2" (642 particles).
