@@ -50,6 +50,8 @@ pub struct Extent {
 const SMOOTHING_MM: f64 = 4.0;
 /// More than a quarter of exact zeros is a mask of the field of view, not dark tissue.
 const MASK_FRACTION: f64 = 0.25;
+/// Counts at the rim of a mask, as part of the maximum: soft tissue has 5 % and more of the wall's uptake.
+const MASK_RIM: f64 = 0.02;
 /// The valve plane moves towards the apex by 8-16 mm in systole; a gate's end is looked for this far from the study's.
 const BASE_MOTION_MM: f64 = 18.0;
 /// Room left outside the mid-wall by an estimated filtering circle: half a wall, the blur, and 10 mm of motion.
@@ -238,13 +240,52 @@ pub fn check_marks(grid: &Grid, marks: &RegionMarks) -> Result<(), PipelineError
     Ok(())
 }
 
-/// All voxels, less those that no gate has counts in when these are so many that a mask must have been applied.
+/// All voxels, less those that no gate has counts in when a mask must have made them: they are many, and counts end at them abruptly.
+/// Where counts fade to zero, as without background, zero was measured.
 fn field_of_view(sum: &Volume) -> VoxelSet {
     let dark = sum.counts.iter().filter(|&&count| count == 0.0).count();
-    let masked = dark as f64 > MASK_FRACTION * sum.grid.voxels() as f64;
+    let many = dark as f64 > MASK_FRACTION * sum.grid.voxels() as f64;
+    let masked = many && rim_mean(sum) > MASK_RIM * f64::from(sum.maximum());
     VoxelSet { member: sum.counts.mapv(|count| !masked || count > 0.0) }
+}
+
+/// Mean count of the voxels that have counts next to a voxel of their slice that has none.
+fn rim_mean(sum: &Volume) -> f64 {
+    let (mut total, mut rim) = (0.0, 0_usize);
+    for ((z, y, x), &count) in sum.counts.indexed_iter().filter(|(_, count)| **count > 0.0) {
+        let is_dark = |y: usize, x: usize| sum.counts.get([z, y, x]) == Some(&0.0);
+        if is_dark(y + 1, x) || is_dark(y, x + 1) || (y > 0 && is_dark(y - 1, x)) || (x > 0 && is_dark(y, x - 1)) {
+            total += f64::from(count);
+            rim += 1;
+        }
+    }
+    total / rim.max(1) as f64
 }
 
 fn smooth(counts: &Array3<f32>, known: &VoxelSet, grid: &Grid) -> Array3<f32> {
     smooth_known(counts, known, grid.spacing_mm.map(|spacing| SMOOTHING_MM / spacing))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Activity that falls from the middle of the slices outwards, cut to zero beyond 30 mm.
+    fn cut_disc(fall: impl Fn(f64) -> f64) -> Volume {
+        let grid = Grid { shape: [4, 40, 40], spacing_mm: [4.0, 3.0, 3.0] };
+        let radius = |voxel| (grid.position_mm(voxel).truncate() - DVec2::splat(58.5)).length();
+        let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| {
+            let radius = radius([z, y, x]);
+            if radius < 30.0 { fall(radius) as f32 } else { 0.0 }
+        });
+        Volume { grid, counts }
+    }
+
+    #[test]
+    fn zeros_are_a_mask_only_where_counts_end_abruptly() {
+        let masked = field_of_view(&cut_disc(|radius| 100.0 - 2.0 * radius));
+        assert!(masked.len() < 40 * 40 * 4 / 2, "{}", masked.len());
+        let faded = field_of_view(&cut_disc(|radius| 100.0 * (-0.5 * (radius / 8.0).powi(2)).exp()));
+        assert_eq!(faded.len(), 40 * 40 * 4);
+    }
 }
