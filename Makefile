@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test lint bench openapi
+.PHONY: help demo build test lint openapi
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -26,9 +26,6 @@ lint: ## formatting, clippy, documentation, licences and advisories
 	cargo clippy --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
 	@tests/tools/deny.sh
-
-bench: ## runs the benchmarks
-	cargo bench --locked
 
 openapi: ## writes openapi/openapi.json from the routes
 	mkdir -p openapi
