@@ -8,6 +8,7 @@
 use super::{
     Surface,
     canny::{EdgePoint, Gradient, edges},
+    ends::median,
     parameters::Parameters,
     region::Extent,
 };
@@ -97,8 +98,7 @@ impl Rings {
                 .flat_map(|slice| (0..=2 * AROUND).map(move |shift| (slice, (sector + SECTORS + shift - AROUND) % SECTORS)))
                 .filter_map(|(slice, sector)| maps[slice][sector])
                 .collect();
-            around.sort_by(f64::total_cmp);
-            around[around.len() / 2]
+            median(&mut around)
         };
         self.points.retain(|point| {
             let polar = polar(extent, point);
@@ -138,20 +138,18 @@ pub(super) fn rings(gradient: &Gradient, extent: &Extent, parameters: &Parameter
     for point in edges(gradient, &eligible, &parameters.edges) {
         slices[point.voxel[0]].push((point, polar(extent, &point)));
     }
-    let first: Vec<Option<f64>> =
-        slices.iter().map(|points| circumference(points, pixel_mm, (pixel_mm, extent.radius_mm)).map(|(radius, _)| radius)).collect();
+    let first: Vec<Option<f64>> = slices.iter().map(|points| circumference(points, pixel_mm, (pixel_mm, extent.radius_mm))).collect();
+    // Radii and coverage follow from the points once those that stand out are gone.
     let mut rings = Rings { surface, radius_mm: vec![None; grid.shape[0]], coverage: vec![0.0; grid.shape[0]], points: Vec::new() };
     for (slice, points) in slices.iter().enumerate() {
         let limits = match median_around(&first, slice, grid.spacing_mm[0]) {
             Some(typical) => (typical * (1.0 - NEIGHBOURS_AGREE), typical * (1.0 + NEIGHBOURS_AGREE)),
             None => (pixel_mm, extent.radius_mm),
         };
-        let Some((radius_mm, coverage)) = circumference(points, pixel_mm, limits) else { continue };
+        let Some(radius_mm) = circumference(points, pixel_mm, limits) else { continue };
         let band = band_mm(radius_mm, pixel_mm);
-        let kept: Vec<&(EdgePoint, Polar)> = points.iter().filter(|(_, polar)| (polar.radius_mm - radius_mm).abs() <= band).collect();
-        rings.radius_mm[slice] = Some(kept.iter().map(|(_, polar)| polar.radius_mm).sum::<f64>() / kept.len().max(1) as f64);
-        rings.coverage[slice] = coverage;
-        rings.points.extend(kept.iter().map(|(point, _)| *point));
+        let near = points.iter().filter(|(_, polar)| (polar.radius_mm - radius_mm).abs() <= band);
+        rings.points.extend(near.map(|(point, _)| *point));
     }
     rings.reject_outliers(extent, pixel_mm);
     rings.trim_apex(extent);
@@ -163,8 +161,7 @@ fn median_around(radii: &[Option<f64>], slice: usize, spacing_z_mm: f64) -> Opti
     let reach = (10.0 / spacing_z_mm).ceil() as usize;
     let around = &radii[slice.saturating_sub(reach)..=(slice + reach).min(radii.len() - 1)];
     let mut found: Vec<f64> = around.iter().flatten().copied().collect();
-    found.sort_by(f64::total_cmp);
-    found.get(found.len() / 2).copied()
+    (!found.is_empty()).then(|| median(&mut found))
 }
 
 fn band_mm(radius_mm: f64, pixel_mm: f64) -> f64 {
@@ -199,8 +196,8 @@ fn polar(extent: &Extent, point: &EdgePoint) -> Polar {
 }
 
 /// Grows a circumference in steps of half a pixel; the one that meets border in most sectors wins, the smaller on a tie.
-fn circumference(points: &[(EdgePoint, Polar)], pixel_mm: f64, (smallest_mm, largest_mm): (f64, f64)) -> Option<(f64, f64)> {
-    let mut best: Option<(f64, f64, f64)> = None;
+fn circumference(points: &[(EdgePoint, Polar)], pixel_mm: f64, (smallest_mm, largest_mm): (f64, f64)) -> Option<f64> {
+    let mut best: Option<(f64, f64)> = None;
     let mut radius_mm = smallest_mm;
     while radius_mm <= largest_mm {
         let band = band_mm(radius_mm, pixel_mm);
@@ -219,12 +216,12 @@ fn circumference(points: &[(EdgePoint, Polar)], pixel_mm: f64, (smallest_mm, lar
         }
         let score = met.iter().sum::<f64>() / SECTORS as f64;
         let coverage = met.iter().filter(|&&met| met > 0.0).count() as f64 / SECTORS as f64;
-        if coverage >= LEAST_COVERAGE && best.is_none_or(|(_, most, _)| score > most + 1e-9) {
-            best = Some((radius_mm, score, coverage));
+        if coverage >= LEAST_COVERAGE && best.is_none_or(|(_, most)| score > most + 1e-9) {
+            best = Some((radius_mm, score));
         }
         radius_mm += pixel_mm / 2.0;
     }
-    best.map(|(radius_mm, _, coverage)| (radius_mm, coverage))
+    best.map(|(radius_mm, _)| radius_mm)
 }
 
 /// The angle about the axis of a place among the sectors.
