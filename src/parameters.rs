@@ -4,11 +4,12 @@
 mod check;
 mod describe;
 mod query;
+mod resolve;
 
 pub use describe::{Description, describe};
 pub use query::{from_query, merge};
+pub use resolve::resolve;
 
-use crate::pipeline::parameters as chosen;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
@@ -68,7 +69,8 @@ pub struct Region {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Edges {
-    /// The operator: `canny` is smoothed gradient, non-maximum suppression and hysteresis.
+    /// The operator: `canny` is smoothed gradient, non-maximum suppression and hysteresis; `gradient` is the plain gradient against one
+    /// threshold, without `sigma`, `low` and `high`.
     #[schema(inline, default = "canny")]
     pub operator: Option<EdgeOperator>,
     /// Standard deviation of the Gaussian: in pixels for mode `slice`, in multiples of the pixel spacing for mode `volume`.
@@ -83,6 +85,9 @@ pub struct Edges {
     /// Edges slice by slice, or in the volume with distances in mm.
     #[schema(inline, default = "slice")]
     pub mode: Option<EdgeMode>,
+    /// Threshold of the `gradient` operator as a fraction of the largest gradient. Only with that operator.
+    #[schema(minimum = 0.01, maximum = 1.0, default = 0.5)]
+    pub threshold: Option<f64>,
     /// Closes the borders by a dome over the apex and a disc in the valve plane; `false` leaves them open, as the paper does.
     #[schema(default = true)]
     pub close_ends: Option<bool>,
@@ -94,6 +99,8 @@ pub struct Edges {
 pub enum EdgeOperator {
     /// Canny 1986.
     Canny,
+    /// Plain gradient against a threshold.
+    Gradient,
 }
 
 /// Two or three dimensions.
@@ -125,30 +132,75 @@ pub struct Mesh {
     /// Subdivisions of the icosahedron: 2, 3 or 4 for 162, 642 or 2562 vertices a surface.
     #[schema(minimum = 2, maximum = 4, default = 3)]
     pub level: Option<u32>,
+    /// What the mesh of a gate starts from: the ellipsoid that bounds its own border, the one that bounds the borders of all gates, or the
+    /// result of the gate before.
+    #[schema(inline, default = "own_ellipsoid")]
+    pub seed: Option<Seed>,
+}
+
+/// Where the mesh of a gate starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Seed {
+    /// The ellipsoid about the gate's own border.
+    OwnEllipsoid,
+    /// The ellipsoid about the borders of all gates.
+    CommonEllipsoid,
+    /// The result of the gate before.
+    PreviousGate,
 }
 
 /// The deformable model.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Deform {
-    /// Internal forces: `free` has none and keeps the mesh whole by smoothing.
+    /// Internal forces: `free` has none and keeps the mesh whole by smoothing; `spring_mass` joins particles by springs;
+    /// `restricted_spring_mass` lets the springs act only normal to the field; `plane` resists stretch, shear and bend of triangles.
     #[schema(inline, default = "free")]
     pub model: Option<Model>,
-    /// Time integration: `rk4` is the classic fourth-order Runge-Kutta method.
+    /// Time integration: explicit `euler`, `midpoint` and `rk4`, or `implicit_euler`. Left out it is `rk4`, and `implicit_euler` for the model
+    /// `plane`. Not together: `restricted_spring_mass` with `implicit_euler`.
     #[schema(inline, default = "rk4")]
     pub solver: Option<Solver>,
-    /// Time step in s.
-    #[schema(minimum = 0.001, maximum = 1.0, default = 0.1)]
+    /// Time step in s. The paper: 0.1 to 0.17 (free), 0.01 and 0.05 (plane), 0.0005 (springs). Left out with the model `plane`: 0.05.
+    #[schema(minimum = 0.0001, maximum = 1.0, default = 0.1)]
     pub time_step_s: Option<f64>,
-    /// Part of the velocity lost in a step, in percent.
-    #[schema(minimum = 0.0, maximum = 100.0, default = 1.0)]
+    /// Mass of a particle. The field pulls each with the force that accelerates mass 1 by 10 mm/s².
+    #[schema(minimum = 0.01, maximum = 100.0, default = 1.0)]
+    pub mass: Option<f64>,
+    /// Part of the velocity lost in a second, in percent.
+    #[schema(minimum = 0.0, maximum = 99.9, default = 1.0)]
     pub damping_percent: Option<f64>,
+    /// Springs of the spring-mass models, stretch of the plane model. Not with the model `free`.
+    #[schema(inline)]
+    pub stretch: Option<Stretch>,
+    /// Shear of triangles. Only with the model `plane`.
+    #[schema(inline)]
+    pub shear: Option<Shear>,
+    /// Bend between triangles. Only with the model `plane`.
+    #[schema(inline)]
+    pub bend: Option<Bend>,
+    /// The part of the spring force that acts: normal to the field or along it. Only with the model `restricted_spring_mass`.
+    #[schema(inline, default = "across_field")]
+    pub spring_direction: Option<SpringDirection>,
     /// Whether the mesh is smoothed while it moves and at its end.
     #[schema(default = true)]
     pub smoothing: Option<bool>,
+    /// Whether a particle stops at the first border voxel it enters. Without it particles swing about the border until they rest.
+    #[schema(default = true)]
+    pub freezing: Option<bool>,
+    /// Whether a stopped particle is moved to the border at sub-voxel precision; `false` leaves it where it stopped, as the paper does.
+    #[schema(default = true)]
+    pub subvoxel: Option<bool>,
+    /// The evolution ends when the mean places of the particles that move shift by less than this from one second to the next, in voxels.
+    #[schema(minimum = 0.0, maximum = 1.0, default = 0.02)]
+    pub rest_voxels: Option<f64>,
     /// Steps after which the evolution ends whatever still moves.
     #[schema(minimum = 1, maximum = 20_000, default = 2000)]
     pub max_steps: Option<usize>,
+    /// Whether the report holds the distance of twelve particles to the border over time.
+    #[schema(default = false)]
+    pub record_distances: Option<bool>,
 }
 
 /// Internal forces.
@@ -157,14 +209,72 @@ pub struct Deform {
 pub enum Model {
     /// No internal force.
     Free,
+    /// Springs along the edges.
+    SpringMass,
+    /// Springs that act in one direction to the field only.
+    RestrictedSpringMass,
+    /// Stretch, shear and bend of triangles.
+    Plane,
 }
 
 /// Time integration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
+    /// Explicit Euler.
+    Euler,
+    /// The explicit midpoint rule.
+    Midpoint,
     /// The classic fourth-order Runge-Kutta method.
     Rk4,
+    /// Linearly implicit Euler.
+    ImplicitEuler,
+}
+
+/// The part of a spring's force that acts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SpringDirection {
+    /// Normal to the field.
+    AcrossField,
+    /// Along the field.
+    AlongField,
+}
+
+/// Stretch.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stretch {
+    /// Spring constant, in 1/s² for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 10.0)]
+    pub k: Option<f64>,
+    /// Its damping, in 1/s for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 1.0)]
+    pub kd: Option<f64>,
+}
+
+/// Shear.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Shear {
+    /// Spring constant, in 1/s² for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 1.0)]
+    pub k: Option<f64>,
+    /// Its damping, in 1/s for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 0.1)]
+    pub kd: Option<f64>,
+}
+
+/// Bend.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bend {
+    /// Spring constant, in mm²/s² a radian for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 10.0)]
+    pub k: Option<f64>,
+    /// Its damping, in mm²/s a radian for unit mass.
+    #[schema(minimum = 0.0, maximum = 1e6, default = 1.0)]
+    pub kd: Option<f64>,
 }
 
 /// One thing wrong with the parameters.
@@ -218,64 +328,10 @@ pub fn parse(value: &Value) -> Result<Request, ParameterError> {
     serde_json::from_value(value.clone()).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))
 }
 
-/// The parameters of the pipeline: the preset's values where the request is silent.
-pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
-    let written = serde_json::to_value(&request).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))?;
-    parse(&written)?;
-    let mut out = match request.preset.unwrap_or(Preset::Paper) {
-        Preset::Paper => chosen::Parameters::paper(),
-    };
-    let region = request.region.unwrap_or_default();
-    out.region = chosen::RegionMarks {
-        centre_mm: region.centre_mm,
-        radius_mm: region.radius_mm,
-        first_slice: region.first_slice,
-        last_slice: region.last_slice,
-    };
-    let edges = request.edges.unwrap_or_default();
-    out.edges.operator = edges.operator.map_or(out.edges.operator, |EdgeOperator::Canny| chosen::EdgeOperator::Canny);
-    out.edges.sigma = edges.sigma.unwrap_or(out.edges.sigma);
-    out.edges.low = edges.low.unwrap_or(out.edges.low);
-    out.edges.high = edges.high.unwrap_or(out.edges.high);
-    out.edges.close_ends = edges.close_ends.unwrap_or(out.edges.close_ends);
-    out.edges.mode = edges.mode.map_or(out.edges.mode, |mode| match mode {
-        EdgeMode::Slice => chosen::EdgeMode::Slice,
-        EdgeMode::Volume => chosen::EdgeMode::Volume,
-    });
-    let gvf = request.gvf.unwrap_or_default();
-    out.gvf.mu = gvf.mu.unwrap_or(out.gvf.mu);
-    out.gvf.tolerance = gvf.tolerance.unwrap_or(out.gvf.tolerance);
-    out.mesh.level = request.mesh.unwrap_or_default().level.unwrap_or(out.mesh.level);
-    let deform = request.deform.unwrap_or_default();
-    out.deform.model = deform.model.map_or(out.deform.model, |Model::Free| chosen::Model::Free);
-    out.deform.solver = deform.solver.map_or(out.deform.solver, |Solver::Rk4| chosen::Solver::Rk4);
-    out.deform.time_step_s = deform.time_step_s.unwrap_or(out.deform.time_step_s);
-    out.deform.damping_percent = deform.damping_percent.unwrap_or(out.deform.damping_percent);
-    out.deform.smoothing = deform.smoothing.unwrap_or(out.deform.smoothing);
-    out.deform.max_steps = deform.max_steps.unwrap_or(out.deform.max_steps);
-    consistent(&out)?;
-    Ok(out)
-}
-
-/// What no single field can say.
-fn consistent(parameters: &chosen::Parameters) -> Result<(), ParameterError> {
-    let edges = parameters.edges;
-    if edges.low >= edges.high {
-        let detail = format!("`edges.low` is {} and must lie below `edges.high`, which is {}.", edges.low, edges.high);
-        return Err(ParameterError::one("invalid_parameter", "/edges/low", detail));
-    }
-    if let (Some(first), Some(last)) = (parameters.region.first_slice, parameters.region.last_slice)
-        && first > last
-    {
-        let detail = format!("`region.first_slice` is {first} and must not lie after `region.last_slice`, which is {last}.");
-        return Err(ParameterError::one("invalid_parameter", "/region/first_slice", detail));
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::parameters as chosen;
     use serde_json::json;
 
     fn refused(value: &Value) -> Vec<(&'static str, String)> {
@@ -313,10 +369,14 @@ mod tests {
         let sent = json!({
             "preset": "paper",
             "region": {"centre_mm": [90.0, 95.5], "radius_mm": 60.0, "first_slice": 3, "last_slice": 20},
-            "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume", "close_ends": false},
+            "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume", "threshold": 0.5, "close_ends": false},
             "gvf": {"mu": 5.0, "tolerance": 1e-5},
-            "mesh": {"level": 4},
-            "deform": {"model": "free", "solver": "rk4", "time_step_s": 0.05, "damping_percent": 2.0, "smoothing": false, "max_steps": 100},
+            "mesh": {"level": 4, "seed": "common_ellipsoid"},
+            "deform": {
+                "model": "plane", "solver": "midpoint", "time_step_s": 0.05, "mass": 2.0, "damping_percent": 2.0,
+                "stretch": {"k": 3.0, "kd": 0.3}, "shear": {"k": 4.0, "kd": 0.4}, "bend": {"k": 5.0, "kd": 0.5},
+                "spring_direction": "across_field", "smoothing": false, "freezing": false, "subvoxel": false, "rest_voxels": 0.1, "max_steps": 100, "record_distances": true,
+            },
         });
         assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
     }
@@ -356,13 +416,49 @@ mod tests {
     }
 
     #[test]
-    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        for sent in [
-            json!({"preset": "clinical"}),
-            json!({"pose": {}}),
-            json!({"refine": {"enabled": true}}),
-            json!({"deform": {"model": "plane"}}),
+    fn what_does_not_go_together_is_refused_by_name() {
+        for (deform, pointer) in [
+            (json!({"model": "restricted_spring_mass", "solver": "implicit_euler"}), "/deform/solver"),
+            (json!({"stretch": {"k": 20}}), "/deform/stretch"),
+            (json!({"model": "spring_mass", "bend": {"kd": 2}}), "/deform/bend"),
+            (json!({"model": "restricted_spring_mass", "shear": {"k": 2}}), "/deform/shear"),
+            (json!({"model": "plane", "spring_direction": "along_field"}), "/deform/spring_direction"),
         ] {
+            assert_eq!(refused(&json!({"deform": deform.clone()})), [("invalid_parameter", pointer.to_owned())], "{deform}");
+        }
+        for (edges, pointer) in [
+            (json!({"threshold": 0.4}), "/edges/threshold"),
+            (json!({"operator": "gradient", "sigma": 1.0}), "/edges/sigma"),
+            (json!({"operator": "gradient", "low": 0.1}), "/edges/low"),
+        ] {
+            assert_eq!(refused(&json!({"edges": edges.clone()})), [("invalid_parameter", pointer.to_owned())], "{edges}");
+        }
+    }
+
+    #[test]
+    fn every_model_goes_with_every_solver_but_one() {
+        for model in ["free", "spring_mass", "restricted_spring_mass", "plane"] {
+            for solver in ["euler", "midpoint", "rk4", "implicit_euler"] {
+                let sent = json!({"deform": {"model": model, "solver": solver}});
+                let refused = parse(&sent).and_then(resolve).is_err();
+                assert_eq!(refused, (model, solver) == ("restricted_spring_mass", "implicit_euler"), "{sent}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_plane_model_brings_its_solver_and_time_step() {
+        let deform = parse(&json!({"deform": {"model": "plane"}})).and_then(resolve).unwrap().deform;
+        assert_eq!((deform.solver, deform.time_step_s), (chosen::Solver::ImplicitEuler, 0.05));
+        let given = parse(&json!({"deform": {"model": "plane", "solver": "rk4", "time_step_s": 0.01}})).and_then(resolve).unwrap().deform;
+        assert_eq!((given.solver, given.time_step_s), (chosen::Solver::Rk4, 0.01));
+    }
+
+    #[test]
+    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
+        for sent in
+            [json!({"preset": "clinical"}), json!({"pose": {}}), json!({"refine": {"enabled": true}}), json!({"retention_seconds": 60})]
+        {
             assert_eq!(refused(&sent)[0].0, "unavailable_parameter", "{sent}");
         }
     }

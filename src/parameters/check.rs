@@ -7,16 +7,9 @@ use utoipa::PartialSchema;
 
 /// Fields and values that the published contract names and this version does not have yet: a client that sends one is told so, and
 /// not that it does not exist.
-const NOT_YET_AVAILABLE: [(&str, Option<&[&str]>); 13] = [
+const NOT_YET_AVAILABLE: [(&str, Option<&[&str]>); 6] = [
     ("/preset", Some(&["clinical"])),
     ("/pose", None),
-    ("/edges/operator", Some(&["gradient"])),
-    ("/deform/model", Some(&["spring_mass", "restricted_spring_mass", "plane"])),
-    ("/deform/solver", Some(&["midpoint", "euler", "implicit_euler"])),
-    ("/deform/stretch", None),
-    ("/deform/shear", None),
-    ("/deform/bend", None),
-    ("/deform/record_distances", None),
     ("/refine", None),
     ("/metadata", None),
     ("/retention_seconds", None),

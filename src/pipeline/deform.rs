@@ -14,7 +14,9 @@ use super::{
     monitor,
     monitor::Monitor,
     parameters::{DeformParameters, EdgeMode, Parameters},
+    rest::Stop,
     smooth,
+    trace::Trace,
 };
 use crate::{mesh::Mesh, volume::Grid};
 use glam::DVec3;
@@ -27,8 +29,38 @@ pub struct Evolved {
     pub mesh: Mesh,
     /// Time steps taken.
     pub steps: usize,
+    /// What ended the evolution.
+    pub stop: Stop,
     /// Fraction of particles frozen on the border.
     pub frozen: f64,
+    /// Distances to the border over time, if they were asked for.
+    pub trace: Option<Trace>,
+}
+
+/// What an evolution takes place in.
+#[derive(Clone, Copy)]
+pub struct Setting<'a> {
+    /// The lattice.
+    pub grid: &'a Grid,
+    /// The border that particles are drawn to.
+    pub border: &'a Border,
+    /// The field that draws them.
+    pub flow: &'a Flow,
+    /// Everything that can be chosen.
+    pub parameters: &'a Parameters,
+    /// May end the evolution.
+    pub monitor: &'a dyn Monitor,
+}
+
+/// The mesh after a step.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment<'a> {
+    /// Steps taken; 0 is the seed.
+    pub steps: usize,
+    /// Where the particles are, in grid mm.
+    pub positions: &'a [DVec3],
+    /// Which of them are frozen on the border.
+    pub frozen: &'a [bool],
 }
 
 /// Acceleration of a particle of unit mass in the field, in mm/s². The paper gives no unit: with this one a particle crosses a
@@ -41,10 +73,10 @@ const STALLED_STEPS: usize = 120;
 /// Steps between two smoothing passes over the particles that still move.
 const SMOOTHING_INTERVAL: usize = 4;
 
-/// Evolves the mesh of one surface.
-pub fn evolve(border: &Border, flow: &Flow, grid: &Grid, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Evolved, PipelineError> {
+/// Evolves the mesh of one surface from its seed; `watch` sees the seed and every step.
+pub fn evolve(seed: Mesh, setting: &Setting<'_>, watch: &mut dyn FnMut(&Moment<'_>)) -> Result<Evolved, PipelineError> {
+    let Setting { grid, border, flow, parameters, monitor } = *setting;
     let deform = &parameters.deform;
-    let seed = bounding_ellipsoid(border, parameters.mesh.level);
     let joined = seed.neighbours();
     let on_border: HashMap<[usize; 3], &BorderPoint> = border.points.iter().map(|point| (point.voxel, point)).collect();
     let count = seed.positions.len();
@@ -53,6 +85,7 @@ pub fn evolve(border: &Border, flow: &Flow, grid: &Grid, parameters: &Parameters
     let mut frozen_count = 0;
     let mut last_frozen = 0;
     let mut steps = 0;
+    watch(&Moment { steps, positions: &particles.positions, frozen: &frozen });
     while frozen_count < count && steps < deform.max_steps && steps - last_frozen < STALLED_STEPS {
         monitor::check(monitor)?;
         let next = step(deform.solver, &particles, deform.time_step_s, |at| accelerations(at, &frozen, flow, deform));
@@ -73,12 +106,20 @@ pub fn evolve(border: &Border, flow: &Flow, grid: &Grid, parameters: &Parameters
         if deform.smoothing && steps % SMOOTHING_INTERVAL == 0 {
             smooth::taubin(&mut particles.positions, &joined, |vertex| !frozen[vertex]);
         }
+        watch(&Moment { steps, positions: &particles.positions, frozen: &frozen });
     }
+    let stop = if frozen_count == count {
+        Stop::AllFrozen
+    } else if steps == deform.max_steps {
+        Stop::StepLimit
+    } else {
+        Stop::AtRest
+    };
     let mut mesh = Mesh { positions: particles.positions, triangles: seed.triangles };
     if deform.smoothing {
         smooth_whole(&mut mesh, &joined, smooth::final_passes(parameters.mesh.level));
     }
-    Ok(Evolved { mesh, steps, frozen: frozen_count as f64 / count as f64 })
+    Ok(Evolved { mesh, steps, stop, frozen: frozen_count as f64 / count as f64, trace: None })
 }
 
 /// The final smoothing: again while a triangle is inverted, up to four times.
@@ -95,10 +136,10 @@ fn smooth_whole(mesh: &mut Mesh, joined: &[Vec<u32>], passes: usize) {
 }
 
 /// The sphere "scaled and translated" to the bounding box of the data (§7.3).
-fn bounding_ellipsoid(border: &Border, level: u32) -> Mesh {
-    let positions = border.points.iter().map(|point| point.position_mm);
-    let low = positions.clone().fold(DVec3::INFINITY, DVec3::min);
-    let high = positions.fold(DVec3::NEG_INFINITY, DVec3::max);
+pub fn bounding_ellipsoid<'a>(points: impl IntoIterator<Item = &'a BorderPoint>, level: u32) -> Mesh {
+    let (low, high) = points
+        .into_iter()
+        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), point| (low.min(point.position_mm), high.max(point.position_mm)));
     Mesh::icosphere(level).map(|unit| (low + high) / 2.0 + unit * (high - low) / 2.0)
 }
 
@@ -160,10 +201,15 @@ mod tests {
     const GRID: Grid = Grid { shape: [24, 40, 40], spacing_mm: [4.0, 2.8, 2.8] };
     const RADIUS_MM: f64 = 25.0;
 
+    fn evolve_on(border: &Border, flow: &Flow, parameters: &Parameters) -> Evolved {
+        let seed = bounding_ellipsoid(&border.points, parameters.mesh.level);
+        evolve(seed, &Setting { grid: &GRID, border, flow, parameters, monitor: &Silent }, &mut |_| ()).unwrap()
+    }
+
     fn evolved(parameters: &Parameters) -> Evolved {
         let border = sphere(GRID, GRID.position_mm([12, 20, 20]), RADIUS_MM);
         let flow = gvf::flow(&GRID, &border, &parameters.gvf, &Silent).unwrap();
-        evolve(&border, &flow, &GRID, parameters, &Silent).unwrap()
+        evolve_on(&border, &flow, parameters)
     }
 
     #[test]
@@ -184,7 +230,7 @@ mod tests {
         let mut border = sphere(GRID, GRID.position_mm([12, 20, 20]), RADIUS_MM);
         border.points.retain(|point| point.voxel[0] <= 12);
         let flow = gvf::flow(&GRID, &border, &parameters.gvf, &Silent).unwrap();
-        let found = evolve(&border, &flow, &GRID, &parameters, &Silent).unwrap();
+        let found = evolve_on(&border, &flow, &parameters);
         assert!(found.mesh.positions.iter().all(|position| position.is_finite()));
         let highest = found.mesh.positions.iter().map(|position| position.z).fold(f64::MIN, f64::max);
         assert!(highest < GRID.position_mm([14, 0, 0]).z, "{highest}: nothing draws particles above the border");

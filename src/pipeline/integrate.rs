@@ -15,7 +15,7 @@ pub struct Particles {
 /// One step of `time_step_s`; `acceleration` maps all positions and velocities to all accelerations in mm/s².
 pub fn step(solver: Solver, from: &Particles, time_step_s: f64, acceleration: impl Fn(&Particles) -> Vec<DVec3>) -> Particles {
     match solver {
-        Solver::Rk4 => rk4(from, time_step_s, acceleration),
+        Solver::Euler | Solver::Midpoint | Solver::ImplicitEuler | Solver::Rk4 => rk4(from, time_step_s, acceleration),
     }
 }
 

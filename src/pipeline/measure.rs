@@ -1,6 +1,11 @@
 //! What is measured on the fitted surfaces, and what is refused or warned of.
 
-use super::{Fit, GateFound, GateReconstruction, PipelineError, Surface, borders::Border, deform::Evolved, gvf::Flow};
+use super::{
+    Fit, GateReconstruction, PipelineError, Surface,
+    borders::{Border, Borders},
+    deform::Evolved,
+    gvf::Flow,
+};
 use crate::{study::Warning, volume::Grid};
 use glam::DVec3;
 
@@ -30,11 +35,13 @@ pub fn fit(gate: usize, surface: Surface, evolved: Evolved, border: &Border, flo
     Ok(Fit {
         mesh: evolved.mesh,
         steps: evolved.steps,
+        stop: evolved.stop,
         frozen: evolved.frozen,
         within_one_voxel,
         mean_distance_mm: total_mm / particles,
         gvf_residual: flow.residual,
         gvf_iterations: flow.iterations,
+        trace: evolved.trace,
     })
 }
 
@@ -60,7 +67,7 @@ pub fn check(gate: usize, result: &GateReconstruction) -> Result<(), PipelineErr
 }
 
 /// What the reader of a gate's result should know.
-pub(super) fn warnings(gate: usize, found: &GateFound) -> Vec<Warning> {
+pub(super) fn warnings(gate: usize, found: &Borders) -> Vec<Warning> {
     Surface::BOTH
         .into_iter()
         .filter(|&surface| *found.coverage.get(surface) < FULL_COVERAGE)

@@ -15,16 +15,19 @@ pub mod models;
 pub mod monitor;
 pub mod parameters;
 pub mod region;
+pub mod rest;
 mod rings;
 pub mod smooth;
+pub mod trace;
 
 use crate::{
     mesh::Mesh,
     study::{Study, Warning},
-    volume::Volume,
+    volume::{Grid, Volume},
 };
+use borders::Borders;
 use monitor::{Monitor, Stage};
-use parameters::Parameters;
+use parameters::{Parameters, Seed};
 use rayon::prelude::*;
 use region::Extent;
 use serde::{Deserialize, Serialize};
@@ -63,6 +66,11 @@ pub struct PerSurface<T> {
 }
 
 impl<T> PerSurface<T> {
+    /// The value of a function for each surface.
+    pub fn of(mut value: impl FnMut(Surface) -> T) -> Self {
+        Self { endocardial: value(Surface::Endocardial), epicardial: value(Surface::Epicardial) }
+    }
+
     /// The value of one surface.
     pub fn get(&self, surface: Surface) -> &T {
         match surface {
@@ -79,6 +87,8 @@ pub struct Fit {
     pub mesh: Mesh,
     /// Time steps until all particles were frozen or the evolution was ended.
     pub steps: usize,
+    /// What ended the evolution.
+    pub stop: rest::Stop,
     /// Fraction of particles that froze on the border, 0-1.
     pub frozen: f64,
     /// Fraction of particles less than one voxel (the largest spacing) from a border voxel's centre, 0-1. Says how far the evolution
@@ -90,6 +100,8 @@ pub struct Fit {
     pub gvf_residual: [f64; 3],
     /// Iterations of that solve, likewise.
     pub gvf_iterations: [usize; 3],
+    /// Distances to the border over time, if they were asked for.
+    pub trace: Option<trace::Trace>,
 }
 
 /// One gate's result.
@@ -229,58 +241,99 @@ fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monit
         let extents = location.extents(study);
         Ok((location, extents))
     })?;
-    let done = AtomicUsize::new(0);
-    let total = study.gates.len();
-    monitor.advance(0, total);
-    let gates: Vec<Result<_, PipelineError>> = study
+    let found = study
         .gates
         .par_iter()
         .enumerate()
-        .map(|(gate, counts)| {
-            let result = reconstruct_gate(gate, &counts.volume, &extents[gate], parameters, monitor);
-            monitor.advance(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            result
-        })
-        .collect();
-    // Of several failures the first gate's is told, whichever thread was first.
-    let gates = gates.into_iter().collect::<Result<Vec<_>, _>>()?;
+        .map(|(gate, counts)| find_borders(gate, &counts.volume, &extents[gate], parameters, monitor))
+        .collect::<Vec<_>>();
+    let found = first_error(found)?;
+    let gates = evolve_cycle(study, &found, parameters, monitor)?;
     let mut warnings = location.warnings();
-    warnings.extend(gates.iter().enumerate().flat_map(|(gate, found)| measure::warnings(gate + 1, found)));
-    Ok(Reconstruction {
-        gates: gates.into_iter().map(|found| found.result).collect(),
-        region: location.region(&study.grid),
-        parameters: parameters.clone(),
-        warnings,
-    })
+    warnings.extend(found.iter().enumerate().flat_map(|(gate, borders)| measure::warnings(gate + 1, borders)));
+    Ok(Reconstruction { gates, region: location.region(&study.grid), parameters: parameters.clone(), warnings })
 }
 
-/// A gate's result and what its warnings are made from.
-struct GateFound {
-    result: GateReconstruction,
-    coverage: PerSurface<f64>,
+/// All results, or of several failures the first gate's, whichever thread was first.
+fn first_error<T>(results: Vec<Result<T, PipelineError>>) -> Result<Vec<T>, PipelineError> {
+    results.into_iter().collect()
 }
 
-fn reconstruct_gate(
+/// Both borders of a gate, each fit to carry a surface.
+fn find_borders(
     gate: usize,
     counts: &Volume,
     extent: &Extent,
     parameters: &Parameters,
     monitor: &dyn Monitor,
-) -> Result<GateFound, PipelineError> {
+) -> Result<Borders, PipelineError> {
     let in_gate = Some(gate);
     let gradient = observed(monitor, Stage::Edges, in_gate, || Ok(canny::gradient(counts, &extent.known, &parameters.edges)))?;
     let borders = observed(monitor, Stage::Borders, in_gate, || Ok(borders::borders(&gradient, extent, parameters)))?;
-    let fit = |surface: Surface| {
-        let border = borders.found.get(surface);
-        borders::check(gate + 1, surface, border)?;
-        let flow = observed(monitor, Stage::GradientVectorFlow, in_gate, || gvf::flow(&counts.grid, border, &parameters.gvf, monitor))?;
-        let evolved = observed(monitor, Stage::Deformation, in_gate, || deform::evolve(border, &flow, &counts.grid, parameters, monitor))?;
-        observed(monitor, Stage::Measurement, in_gate, || measure::fit(gate + 1, surface, evolved, border, &flow, &counts.grid))
+    for surface in Surface::BOTH {
+        borders::check(gate + 1, surface, borders.found.get(surface))?;
+    }
+    Ok(borders)
+}
+
+/// Draws the meshes of every gate to their borders. Gates run in parallel unless each starts from the one before.
+fn evolve_cycle(
+    study: &Study,
+    borders: &[Borders],
+    parameters: &Parameters,
+    monitor: &dyn Monitor,
+) -> Result<Vec<GateReconstruction>, PipelineError> {
+    let total = borders.len();
+    let done = AtomicUsize::new(0);
+    monitor.advance(0, total);
+    let level = parameters.mesh.level;
+    let ellipsoids = |of: &[Borders]| {
+        PerSurface::of(|surface| deform::bounding_ellipsoid(of.iter().flat_map(|gate| &gate.found.get(surface).points), level))
     };
-    let (endocardial, epicardial) = rayon::join(|| fit(Surface::Endocardial), || fit(Surface::Epicardial));
+    let evolve = |gate: usize, seeds: PerSurface<Mesh>| {
+        let result = evolve_gate(gate, &study.grid, &borders[gate], seeds, parameters, monitor);
+        monitor.advance(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        result
+    };
+    let own = |gate: usize| ellipsoids(&borders[gate..=gate]);
+    match parameters.mesh.seed {
+        Seed::OwnEllipsoid => first_error((0..total).into_par_iter().map(|gate| evolve(gate, own(gate))).collect()),
+        Seed::CommonEllipsoid => {
+            let common = ellipsoids(borders);
+            first_error((0..total).into_par_iter().map(|gate| evolve(gate, common.clone())).collect())
+        }
+        Seed::PreviousGate => {
+            let mut gates: Vec<GateReconstruction> = Vec::with_capacity(total);
+            for gate in 0..total {
+                let seeds = gates.last().map_or_else(|| own(gate), |last| PerSurface::of(|surface| last.fits.get(surface).mesh.clone()));
+                gates.push(evolve(gate, seeds)?);
+            }
+            Ok(gates)
+        }
+    }
+}
+
+fn evolve_gate(
+    gate: usize,
+    grid: &Grid,
+    borders: &Borders,
+    seeds: PerSurface<Mesh>,
+    parameters: &Parameters,
+    monitor: &dyn Monitor,
+) -> Result<GateReconstruction, PipelineError> {
+    let in_gate = Some(gate);
+    let fit = |surface: Surface, seed: Mesh| {
+        let border = borders.found.get(surface);
+        let flow = observed(monitor, Stage::GradientVectorFlow, in_gate, || gvf::flow(grid, border, &parameters.gvf, monitor))?;
+        let setting = deform::Setting { grid, border, flow: &flow, parameters, monitor };
+        let evolved = observed(monitor, Stage::Deformation, in_gate, || deform::evolve(seed, &setting, &mut |_| ()))?;
+        observed(monitor, Stage::Measurement, in_gate, || measure::fit(gate + 1, surface, evolved, border, &flow, grid))
+    };
+    let (endocardial, epicardial) =
+        rayon::join(|| fit(Surface::Endocardial, seeds.endocardial), || fit(Surface::Epicardial, seeds.epicardial));
     let result = GateReconstruction { fits: PerSurface { endocardial: endocardial?, epicardial: epicardial? } };
     measure::check(gate + 1, &result)?;
-    Ok(GateFound { result, coverage: borders.coverage })
+    Ok(result)
 }
 
 /// Runs a stage between its announcements.

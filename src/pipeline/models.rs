@@ -7,6 +7,6 @@ use glam::DVec3;
 /// Internal force on every particle, in mm/s² for unit mass.
 pub fn internal_forces(model: Model, particles: &Particles) -> Vec<DVec3> {
     match model {
-        Model::Free => vec![DVec3::ZERO; particles.positions.len()],
+        Model::SpringMass | Model::RestrictedSpringMass | Model::Plane | Model::Free => vec![DVec3::ZERO; particles.positions.len()],
     }
 }

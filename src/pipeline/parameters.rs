@@ -57,6 +57,8 @@ pub struct EdgeParameters {
     pub high: f64,
     /// Two or three dimensions.
     pub mode: EdgeMode,
+    /// Threshold of the plain gradient operator, as a fraction of the largest gradient; Canny does not read it.
+    pub threshold: f64,
     /// Whether a dome over the apex and a disc in the valve plane close the borders' ends.
     pub close_ends: bool,
 }
@@ -67,6 +69,9 @@ pub struct EdgeParameters {
 pub enum EdgeOperator {
     /// Canny 1986: smoothed gradient, non-maximum suppression, hysteresis.
     Canny,
+    /// The length of the counts' own gradient against one threshold: no Gaussian, no thinning, no hysteresis (what the paper compares
+    /// Canny with in figure 6).
+    Gradient,
 }
 
 /// Where edges are looked for.
@@ -95,9 +100,24 @@ pub struct GvfParameters {
 pub struct MeshParameters {
     /// Subdivisions of the icosahedron: 2, 3 or 4 for 162, 642 or 2562 vertices (Table 2).
     pub level: u32,
+    /// What the evolution of each gate starts from.
+    pub seed: Seed,
+}
+
+/// Where the mesh of a gate starts. The topology is the icosphere's in all three, so that a vertex is the same particle in every gate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Seed {
+    /// The ellipsoid that bounds the gate's own border (§7.3).
+    OwnEllipsoid,
+    /// The ellipsoid that bounds the borders of all gates.
+    CommonEllipsoid,
+    /// The result of the gate before; the first gate starts from its own ellipsoid.
+    PreviousGate,
 }
 
 /// The deformable model and its evolution.
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the published parameters")]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeformParameters {
@@ -107,12 +127,40 @@ pub struct DeformParameters {
     pub solver: Solver,
     /// Time step in s.
     pub time_step_s: f64,
-    /// Part of the velocity lost in a step, in percent.
+    /// Mass of a particle; the field pulls each with a force of 10 mass units × mm/s².
+    pub mass: f64,
+    /// Part of the velocity lost in a second, in percent.
     pub damping_percent: f64,
+    /// Stretch: of springs (spring-mass models) or of triangles (plane model).
+    pub stretch: Stiffness,
+    /// Shear of triangles (plane model).
+    pub shear: Stiffness,
+    /// Bend between neighbouring triangles (plane model).
+    pub bend: Stiffness,
+    /// The part of the spring force that the restricted spring-mass model keeps.
+    pub spring_direction: SpringDirection,
     /// Whether the mesh is smoothed while it moves and at its end.
     pub smoothing: bool,
+    /// Whether a particle stops at the first border voxel it enters (§7.1).
+    pub freezing: bool,
+    /// Whether a frozen particle is moved to the edge's sub-voxel position.
+    pub subvoxel: bool,
+    /// The evolution ends when the moving particles' mean places shift by less than this from one second to the next, in voxels.
+    pub rest_voxels: f64,
     /// Steps after which the evolution ends whatever still moves.
     pub max_steps: usize,
+    /// Whether the distance of particles to the border is kept over time (figure 5).
+    pub record_distances: bool,
+}
+
+/// A spring constant and its damping.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stiffness {
+    /// Spring constant, force a unit of the condition.
+    pub k: f64,
+    /// Damping constant, force a unit of the condition's rate.
+    pub kd: f64,
 }
 
 /// The internal forces of the mesh.
@@ -121,14 +169,36 @@ pub struct DeformParameters {
 pub enum Model {
     /// No internal force; topology is kept by smoothing.
     Free,
+    /// Hooke springs along the edges.
+    SpringMass,
+    /// Hooke springs of which only the part in one direction to the field acts.
+    RestrictedSpringMass,
+    /// Stretch, shear and bend of every triangle after Baraff & Witkin 1998.
+    Plane,
+}
+
+/// The part of the spring force that acts in the restricted spring-mass model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SpringDirection {
+    /// Normal to the field: springs space the particles and leave the way to the border to the field.
+    AcrossField,
+    /// Along the field.
+    AlongField,
 }
 
 /// The time integration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
+    /// Explicit Euler, first order.
+    Euler,
+    /// The explicit midpoint rule, second order.
+    Midpoint,
     /// The classic fourth-order Runge-Kutta method.
     Rk4,
+    /// Linearly implicit Euler (Baraff & Witkin 1998, equation 6), first order, stable for stiff forces.
+    ImplicitEuler,
 }
 
 impl Parameters {
@@ -145,20 +215,32 @@ impl Parameters {
                 low: 0.3,
                 high: 0.8,
                 mode: EdgeMode::Slice,
+                // Ours: the paper does not define the operator it compares with.
+                threshold: 0.5,
                 close_ends: true,
             },
             // §7.5: "a GVF balancing constant of 10"; the tolerance is ours: the field's direction no longer changes below it.
             gvf: GvfParameters { mu: 10.0, tolerance: 1e-4 },
             // §7.4: "the selected initial mesh is the one labelled as 2" (642 particles).
-            mesh: MeshParameters { level: 3 },
-            // §7.5: RK4, "a damping factor of 1% and a time increment of 0.1 seconds". The cap on steps is ours: ten times what phantoms need.
+            mesh: MeshParameters { level: 3, seed: Seed::OwnEllipsoid },
+            // §7.5: free model, RK4, "a damping factor of 1% and a time increment of 0.1 seconds"; table 1: the constants of stretch, shear
+            // and bend. Ours: the cap on steps (ten times what phantoms need), and what ends the evolution (see `super::rest`).
             deform: DeformParameters {
                 model: Model::Free,
                 solver: Solver::Rk4,
                 time_step_s: 0.1,
+                mass: 1.0,
                 damping_percent: 1.0,
+                stretch: Stiffness { k: 10.0, kd: 1.0 },
+                shear: Stiffness { k: 1.0, kd: 0.1 },
+                bend: Stiffness { k: 10.0, kd: 1.0 },
+                spring_direction: SpringDirection::AcrossField,
                 smoothing: true,
+                freezing: true,
+                subvoxel: true,
+                rest_voxels: 0.02,
                 max_steps: 2000,
+                record_distances: false,
             },
         }
     }

@@ -1,9 +1,11 @@
 //! From a reconstruction to what people read. Pure functions: the same reconstruction gives the same report, timing aside.
 
+mod fits;
 #[expect(clippy::module_inception, reason = "the report is what the module is named for; other forms of it are its siblings")]
 mod report;
 
+pub use fits::{DistanceTrace, Extremes, FitSummary, GvfSummary, ParticleDistances, SurfaceFits, TriangleSummary};
 pub use report::{
-    FitSummary, Function, GateReport, GridSummary, GvfSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, QUALITY_LIMITS, Quality,
-    QualityLimits, RegionSummary, Remark, Report, SCHEMA, Software, StudySummary, SurfaceFits, Timing, TimingReport, build,
+    Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, QUALITY_LIMITS, Quality, QualityLimits, RegionSummary,
+    Remark, Report, SCHEMA, Software, StudySummary, Timing, TimingReport, build,
 };

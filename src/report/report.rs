@@ -3,8 +3,9 @@
 //! Names are part of the HTTP contract: fields are added, never renamed. Values are the full `f64`, unrounded, so that reports compare
 //! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
 
+use super::fits::SurfaceFits;
 use crate::{
-    pipeline::{Fit, GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters},
+    pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters},
     study::{Format, Study, Warning},
 };
 use serde::{Deserialize, Serialize};
@@ -137,39 +138,6 @@ pub struct GateReport {
     pub myocardial_ml: f64,
     /// How the surfaces were reached.
     pub fit: SurfaceFits,
-}
-
-/// How both surfaces of a gate were reached.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct SurfaceFits {
-    /// The inner surface.
-    pub endocardial: FitSummary,
-    /// The outer surface.
-    pub epicardial: FitSummary,
-}
-
-/// How one surface was reached. This measures convergence to the border that was detected, not accuracy.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct FitSummary {
-    /// Particles less than one voxel from the border, in percent.
-    pub within_one_voxel_percent: f64,
-    /// Mean distance of the particles to the nearest border voxel, in mm.
-    pub mean_distance_mm: f64,
-    /// Time steps of the deformable model.
-    pub steps: usize,
-    /// Particles that froze on the border, in percent.
-    pub frozen_percent: f64,
-    /// The solve of the field the particles followed.
-    pub gvf: GvfSummary,
-}
-
-/// The linear solve of a gradient vector flow, one value a component (x, y, z).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct GvfSummary {
-    /// Relative residual at the end.
-    pub residual: [f64; 3],
-    /// Iterations.
-    pub iterations: [usize; 3],
 }
 
 /// The wall over the cycle.
@@ -358,18 +326,6 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
     }
     let score = converged.iter().sum::<f64>() / converged.len().max(1) as f64;
     (Quality { score, flags }, warnings)
-}
-
-impl From<&Fit> for FitSummary {
-    fn from(fit: &Fit) -> Self {
-        Self {
-            within_one_voxel_percent: 100.0 * fit.within_one_voxel,
-            mean_distance_mm: fit.mean_distance_mm,
-            steps: fit.steps,
-            frozen_percent: 100.0 * fit.frozen,
-            gvf: GvfSummary { residual: fit.gvf_residual, iterations: fit.gvf_iterations },
-        }
-    }
 }
 
 impl From<Region> for RegionSummary {

@@ -7,7 +7,7 @@ use std::{path::Path, process::Command};
 use ventricle::{
     export::{ExportError, glb},
     mesh::Mesh,
-    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters},
+    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
     report,
     study::{Acquisition, Format, Gate, Orientation, Study},
     volume::{Grid, Volume},
@@ -31,6 +31,8 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
         mean_distance_mm: 1.5,
         gvf_residual: [1e-5; 3],
         gvf_iterations: [150; 3],
+        stop: Stop::AllFrozen,
+        trace: None,
     };
     let gates = (0..gates)
         .map(|index| {
