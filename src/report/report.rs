@@ -5,7 +5,7 @@
 
 use super::fits::SurfaceFits;
 use crate::{
-    pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters},
+    pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
     study::{Format, Study, Warning},
 };
 use serde::{Deserialize, Serialize};
@@ -178,7 +178,7 @@ pub struct Quality {
     pub score: f64,
     /// Stable codes; each has a sentence of the same code in `warnings`. `not_converged`: a surface has less than 95 % of its particles
     /// within one voxel of its border. `myocardial_volume_not_conserved`: the wall's volume varies by more than 5 % over the cycle.
-    /// `surfaces_cross`: a cavity is not smaller than the volume inside the outer surface.
+    /// `step_limit`: a mesh was still moving after `deform.max_steps`. `surfaces_cross`: a cavity is not smaller than the volume inside the outer surface.
     pub flags: Vec<String>,
 }
 
@@ -303,6 +303,13 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
                 let (name, percent) = (surface.name(), fit.within_one_voxel_percent);
                 let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
                 warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
+            }
+        }
+        for (surface, fit) in [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)] {
+            if fit.stop == Stop::StepLimit {
+                let text =
+                    format!("The {} surface had not come to rest after {} steps, the most that were allowed.", surface.name(), fit.steps);
+                warnings.push(Warning::at_gate(gate.gate, "step_limit", text));
             }
         }
         if gate.myocardial_ml <= 0.0 {

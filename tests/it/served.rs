@@ -85,7 +85,12 @@ impl Served {
     }
 
     pub(crate) fn post(&self, media_type: &str, body: &[u8]) -> Answer {
-        let request = self.agent.post(format!("{}/v1/reconstructions", self.url)).header("content-type", media_type);
+        self.post_with("", media_type, body)
+    }
+
+    /// With parameters in the query.
+    pub(crate) fn post_with(&self, query: &str, media_type: &str, body: &[u8]) -> Answer {
+        let request = self.agent.post(format!("{}/v1/reconstructions?{query}", self.url)).header("content-type", media_type);
         answer(request.send(body).unwrap())
     }
 
