@@ -14,6 +14,7 @@ pub mod measure;
 pub mod models;
 pub mod monitor;
 pub mod parameters;
+mod plain;
 pub mod region;
 pub mod rest;
 mod rings;
