@@ -9,6 +9,7 @@ pub mod borders;
 pub mod canny;
 pub mod deform;
 mod ends;
+pub mod gaps;
 pub mod gvf;
 pub mod integrate;
 pub mod measure;
@@ -252,8 +253,12 @@ fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monit
     let found = first_error(found)?;
     let gates = evolve_cycle(study, &found, parameters, monitor)?;
     let mut warnings = location.warnings();
-    warnings.extend(found.iter().enumerate().flat_map(|(gate, borders)| measure::warnings(gate + 1, borders)));
-    Ok(Reconstruction { gates, region: location.region(&study.grid), parameters: parameters.clone(), warnings })
+    let region = location.region(&study.grid);
+    let unseen = |(gate, borders): (usize, &Borders)| {
+        gaps::warnings(gate + 1, &borders.coverage, &borders.unseen, study.orientation.as_ref(), region.base_at_last_slice)
+    };
+    warnings.extend(found.iter().enumerate().flat_map(unseen));
+    Ok(Reconstruction { gates, region, parameters: parameters.clone(), warnings })
 }
 
 /// All results, or of several failures the first gate's, whichever thread was first.
