@@ -118,18 +118,17 @@ pub(super) fn warnings(
                 (Some(Gap { slices: [a, b], .. }), Some([c, d])) => [c.min(a), d.max(b)],
             };
             let arc = gap.as_ref().map(|gap| arc(gap, walls.as_ref()));
-            let mut text = String::new();
+            let mut sentences = Vec::new();
             if let Some(arc) = &arc {
                 let named = if arc.walls.is_empty() { String::new() } else { format!(" ({})", arc.walls.join(", ")) };
-                text = format!(
+                sentences.push(format!(
                     "The {name} border was seen on {:.0} % of the circumferences; the surface bridges the rest, most of it towards the {}{named}.",
                     100.0 * seen,
                     arc.towards
-                );
+                ));
             }
             if apex.is_some() {
-                let space = if text.is_empty() { "" } else { " " };
-                text += &format!("{space}No wall was seen at the apex: the {name} surface is closed where the wall around ends.");
+                sentences.push(format!("No wall was seen at the apex: the {name} surface is closed where the wall around ends."));
             }
             let affected = Affected {
                 surface: name.to_owned(),
@@ -138,7 +137,7 @@ pub(super) fn warnings(
                 arc,
                 apex_unseen: apex.is_some(),
             };
-            Some(Warning { affected: Some(affected), ..Warning::at_gate(gate, "partial_border", text) })
+            Some(Warning { affected: Some(affected), ..Warning::at_gate(gate, "partial_border", sentences.join(" ")) })
         })
         .collect()
 }
