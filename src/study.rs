@@ -126,12 +126,46 @@ pub struct Warning {
     /// The gate it concerns, counted from 1; absent for the whole study.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gate: Option<usize>,
+    /// The part of a border it concerns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub affected: Option<Affected>,
+}
+
+/// The part of a border that was not seen.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Affected {
+    /// `endocardial` or `epicardial`.
+    pub surface: String,
+    /// First slice, counted from 1.
+    pub first_slice: usize,
+    /// Last slice, counted from 1.
+    pub last_slice: usize,
+    /// The part of the circumference; absent where only the apex was not seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arc: Option<AffectedArc>,
+    /// Whether no wall was seen at the apex.
+    pub apex_unseen: bool,
+}
+
+/// A part of the circumferences about the ventricle's axis.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AffectedArc {
+    /// Where it begins, in whole degrees about the ventricle's axis: 0 towards the last column, 90 towards the last row, 180 towards the
+    /// first column, 270 towards the first row. In steps of 10.
+    pub from_degrees: usize,
+    /// Where it ends, going up from `from_degrees` (over 360, if smaller).
+    pub to_degrees: usize,
+    /// The edge of the image that its middle points to: `first row`, `last row`, `first column` or `last column`.
+    pub towards: String,
+    /// The walls it covers, the one at its middle first: `anterior`, `inferior`, `septal`, `lateral`. Empty where the study does not say how it
+    /// lies in the patient.
+    pub walls: Vec<String>,
 }
 
 impl Warning {
     /// A warning about the whole study.
     pub fn new(code: &str, message: impl Into<String>) -> Self {
-        Self { code: code.to_owned(), message: message.into(), gate: None }
+        Self { code: code.to_owned(), message: message.into(), gate: None, affected: None }
     }
 
     /// A warning about one gate (counted from 1).

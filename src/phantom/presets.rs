@@ -15,6 +15,13 @@ impl Phantom {
         Self { uptake, imaging, ..Self::of(Shape::Cylinder(Cylinder::default())) }
     }
 
+    /// A stand-in for the paper's "more geometric heart-like" object of 265 501 mm³ (§7.6), which it does not draw: the normal ventricle
+    /// enlarged to that volume inside its outer surface, standing still and seen as [`Phantom::paper`] is.
+    pub fn heart_like() -> Self {
+        let Self { uptake, imaging, .. } = Self::paper();
+        Self { uptake, imaging, ..Self::of(Shape::Ventricle(Ventricle::HEART_LIKE)) }
+    }
+
     /// A normal ventricle, EF .60.
     pub fn normal() -> Self {
         Self::of(Shape::Ventricle(Ventricle::NORMAL))

@@ -89,6 +89,11 @@ impl Ventricle {
     pub const SMALL: Self =
         Self { edv_ml: 45.0, esv_ml: 9.0, wall_ml: 85.0, elongation: 1.65, shortening: 0.18, truncation: 0.4, apical_thickness_ratio: 0.8 };
 
+    /// The normal ventricle at end diastole, enlarged to the 265.501 ml of the paper's heart-like object (§7.6), and still. The paper gives no
+    /// volume of its cavity: half of the whole is the normal ventricle's.
+    pub const HEART_LIKE: Self =
+        Self { edv_ml: 265.501 / 2.0, esv_ml: 265.501 / 2.0, wall_ml: 265.501 / 2.0, shortening: 0.0, ..Self::NORMAL };
+
     /// Volume of the cavity in ml at a phase of the cycle (R wave 0, next R wave 1).
     pub fn cavity_ml(&self, phase: f64) -> f64 {
         self.esv_ml + (self.edv_ml - self.esv_ml) * cycle::filling(phase)
@@ -173,6 +178,14 @@ mod tests {
         assert!((surfaces.endocardium.volume_mm3() - 89_794.0).abs() < 1e-6);
         let printed_with_its_pi = 305_301.4 * std::f64::consts::PI / (31_415.0 / 10_000.0);
         assert!((surfaces.epicardium.volume_mm3() - printed_with_its_pi).abs() < 0.5);
+    }
+
+    #[test]
+    fn the_heart_like_ventricle_has_the_papers_volume_and_stands_still() {
+        for phase in [0.0, 0.35, 0.6] {
+            let surfaces = Ventricle::HEART_LIKE.surfaces(Ventricle::HEART_LIKE.cavity_ml(phase));
+            assert!((surfaces.epicardium.volume_mm3() - 265_501.0).abs() < 1e-6, "{}", surfaces.epicardium.volume_mm3());
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use super::{
     PerSurface, PipelineError, Surface,
     canny::Gradient,
+    gaps::{self, Unseen},
     parameters::Parameters,
     region::Extent,
     rings::{FULL_COVERAGE, Radii, Rings, SECTORS, angle_of, rings},
@@ -39,6 +40,8 @@ pub struct Borders {
     pub found: PerSurface<Border>,
     /// Mean angular coverage over the useful slices that have a border, 0-1.
     pub coverage: PerSurface<f64>,
+    /// Where nothing was seen.
+    pub unseen: Unseen,
 }
 
 /// Refuses a border that cannot carry a surface: a ring of the smallest ventricle and its ends have more voxels.
@@ -59,7 +62,14 @@ pub fn borders(gradient: &Gradient, extent: &Extent, parameters: &Parameters) ->
     let (grid, close_ends) = (gradient.field.grid, parameters.edges.close_ends);
     let outer = rings(gradient, extent, parameters, Surface::Epicardial, &vec![None; grid.shape[0]]);
     let inner = rings(gradient, extent, parameters, Surface::Endocardial, &outer.radius_mm);
+    let pixel_mm = grid.spacing_mm[1].max(grid.spacing_mm[2]);
+    let of_both = PerSurface { endocardial: &inner, epicardial: &outer };
+    let unseen = Unseen {
+        gap: PerSurface::of(|surface| gaps::largest(of_both.get(surface), extent, pixel_mm)),
+        apex: (!extent.apex_seen).then(|| PerSurface::of(|surface| of_both.get(surface).beyond_apex(grid, extent))),
+    };
     Borders {
+        unseen,
         coverage: PerSurface { endocardial: inner.mean_coverage(), epicardial: outer.mean_coverage() },
         found: PerSurface { endocardial: inner.border(grid, extent, close_ends), epicardial: outer.border(grid, extent, close_ends) },
     }
@@ -87,11 +97,23 @@ impl Rings {
         Border { points: border.points }
     }
 
-    /// The last ring towards an end, with its own centre.
-    fn end_ring(&self, extent: &Extent, end: End) -> Option<EndRing> {
+    /// The slices (from 0) from where the wall ends at the apex to the ring nearest to it.
+    fn beyond_apex(&self, grid: Grid, extent: &Extent) -> [usize; 2] {
+        let end = ((extent.apex_mm.epicardial / grid.spacing_mm[0]).round().max(0.0) as usize).min(grid.shape[0] - 1);
+        let ring = self.end_slice(extent, End::Apex).unwrap_or(end);
+        [end.min(ring), end.max(ring)]
+    }
+
+    /// The last slice with a ring towards an end.
+    fn end_slice(&self, extent: &Extent, end: End) -> Option<usize> {
         let rises = (extent.towards_base() > 0.0) == (end == End::Base);
         let with_ring = self.radius_mm.iter().enumerate().filter_map(|(slice, radius)| radius.map(|_| slice));
-        let slice = if rises { with_ring.max() } else { with_ring.min() }?;
+        if rises { with_ring.max() } else { with_ring.min() }
+    }
+
+    /// The last ring towards an end, with its own centre.
+    fn end_ring(&self, extent: &Extent, end: End) -> Option<EndRing> {
+        let slice = self.end_slice(extent, end)?;
         let points: Vec<DVec3> = self.points.iter().filter(|point| point.voxel[0] == slice).map(|point| point.position_mm).collect();
         let centre = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
         let radius_mm = points.iter().map(|point| point.distance(centre)).sum::<f64>() / points.len().max(1) as f64;

@@ -3,13 +3,18 @@
 //! In `slice` mode every slice is an image and σ counts pixels, as in the paper; in `volume` mode the Gaussian is isotropic in mm, with
 //! σ times the in-plane spacing. Voxels outside the camera's field of view are unknown, not dark: smoothing is a normalised
 //! convolution over the known ones, so that the mask's rim is no edge.
+//!
+//! [`gradient`] and [`edges`] answer for both operators; the other one is in `plain`.
 
-use super::parameters::{EdgeMode, EdgeParameters};
+use super::{
+    parameters::{EdgeMode, EdgeOperator, EdgeParameters},
+    plain,
+};
 use crate::volume::{Grid, VectorField, Volume, VoxelSet, sample_scalar};
 use glam::DVec3;
 use ndarray::{Array3, Axis, Zip};
 
-/// The gradient of the smoothed counts.
+/// The gradient of the counts, smoothed for Canny and as they are for the plain operator.
 #[derive(Debug, Clone)]
 pub struct Gradient {
     /// Gradient in counts a mm; the slice component is zero in `slice` mode.
@@ -34,7 +39,7 @@ pub struct EdgePoint {
 /// A Gaussian ends where it has fallen below 3·10⁻⁴ of its maximum.
 const KERNEL_SIGMAS: f64 = 4.0;
 
-/// The gradient of the counts, smoothed by a Gaussian over the known voxels.
+/// The gradient of the counts over the known voxels: smoothed by a Gaussian (Canny), or of the counts themselves (plain operator).
 pub fn gradient(volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gradient {
     let grid = volume.grid;
     let [dz, dy, dx] = grid.spacing_mm;
@@ -43,8 +48,11 @@ pub fn gradient(volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gr
         EdgeMode::Slice => [0.0, edges.sigma, edges.sigma],
         EdgeMode::Volume => [sigma_mm / dz, sigma_mm / dy, sigma_mm / dx],
     };
-    let smooth = smooth_known(&volume.counts, known, sigmas);
-    let derivative = |axis: usize, spacing: f64| central_difference(&smooth, axis, spacing);
+    let smooth = (edges.operator == EdgeOperator::Canny).then(|| smooth_known(&volume.counts, known, sigmas));
+    let derivative = |axis: usize, spacing: f64| match &smooth {
+        Some(smooth) => central_difference(smooth, axis, spacing),
+        None => plain::difference(&volume.counts, known, axis, spacing),
+    };
     let along_z = match edges.mode {
         EdgeMode::Slice => Array3::zeros(grid.shape),
         EdgeMode::Volume => derivative(0, dz),
@@ -56,34 +64,47 @@ pub fn gradient(volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gr
     Gradient { field: VectorField { grid, components }, magnitude }
 }
 
-/// Edges among the eligible voxels: local maxima of the gradient along itself, at least `low` and joined (8 or 26 neighbours) to one of
-/// at least `high` times the largest gradient of the eligible voxels, of their slice in `slice` mode.
+/// Edges among the eligible voxels.
+///
+/// Canny: local maxima of the gradient along itself, at least `low` and joined (8 or 26 neighbours) to one of at least `high` times the
+/// largest of them, of their slice in `slice` mode. Plain operator: every voxel of at least `threshold` times the largest, likewise.
 pub fn edges(gradient: &Gradient, eligible: &VoxelSet, parameters: &EdgeParameters) -> Vec<EdgePoint> {
-    let shape = gradient.field.grid.shape;
-    let candidates = thin(gradient, eligible, parameters.mode);
-    let slice_of = |point: &EdgePoint| if parameters.mode == EdgeMode::Slice { point.voxel[0] } else { 0 };
-    let mut largest = vec![0.0_f32; shape[0]];
-    for point in &candidates {
-        let slot = &mut largest[slice_of(point)];
-        *slot = slot.max(point.strength);
+    match parameters.operator {
+        EdgeOperator::Canny => hysteresis(thin(gradient, eligible, parameters.mode), gradient.field.grid.shape, parameters),
+        EdgeOperator::Gradient => plain::edges(gradient, eligible, parameters),
     }
+}
+
+/// The candidates that pass both thresholds.
+fn hysteresis(candidates: Vec<EdgePoint>, shape: [usize; 3], parameters: &EdgeParameters) -> Vec<EdgePoint> {
+    let fractions = fractions(&candidates, parameters.mode, shape[0]);
     let mut index = Array3::from_elem(shape, usize::MAX);
     for (number, point) in candidates.iter().enumerate() {
         index[point.voxel] = number;
     }
-    let fraction = |point: &EdgePoint| f64::from(point.strength) / f64::from(largest[slice_of(point)].max(f32::MIN_POSITIVE));
-    let mut kept: Vec<bool> = candidates.iter().map(|point| fraction(point) >= parameters.high).collect();
+    let mut kept: Vec<bool> = fractions.iter().map(|&fraction| fraction >= parameters.high).collect();
     let mut front: Vec<usize> = (0..candidates.len()).filter(|&number| kept[number]).collect();
     while let Some(number) = front.pop() {
         for neighbour in neighbours(candidates[number].voxel, shape, parameters.mode) {
             let other = index[neighbour];
-            if other != usize::MAX && !kept[other] && fraction(&candidates[other]) >= parameters.low {
+            if other != usize::MAX && !kept[other] && fractions[other] >= parameters.low {
                 kept[other] = true;
                 front.push(other);
             }
         }
     }
     candidates.into_iter().zip(kept).filter_map(|(point, kept)| kept.then_some(point)).collect()
+}
+
+/// The strength of each point as a part of the largest: of those of its slice in `slice` mode, of all in `volume` mode.
+pub(super) fn fractions(points: &[EdgePoint], mode: EdgeMode, slices: usize) -> Vec<f64> {
+    let slice_of = |point: &EdgePoint| if mode == EdgeMode::Slice { point.voxel[0] } else { 0 };
+    let mut largest = vec![f32::MIN_POSITIVE; slices];
+    for point in points {
+        let slot = &mut largest[slice_of(point)];
+        *slot = slot.max(point.strength);
+    }
+    points.iter().map(|point| f64::from(point.strength) / f64::from(largest[slice_of(point)])).collect()
 }
 
 /// Local maxima of the gradient's length along the gradient.

@@ -1,18 +1,11 @@
-//! What is measured on the fitted surfaces, and what is refused or warned of.
+//! What is measured on the fitted surfaces, and what is refused.
 
-use super::{
-    Fit, GateReconstruction, PipelineError, Surface,
-    borders::{Border, Borders},
-    deform::Evolved,
-    gvf::Flow,
-};
-use crate::{study::Warning, volume::Grid};
+use super::{Fit, GateReconstruction, PipelineError, Surface, borders::Border, deform::Evolved, gvf::Flow};
+use crate::volume::Grid;
 use glam::DVec3;
 
 /// A mesh whose particles missed the border by more than this part has not found it.
 const LEAST_WITHIN_ONE_VOXEL: f64 = 0.5;
-/// Mean part of the circumferences that met border, below which the gap is told.
-const FULL_COVERAGE: f64 = 0.75;
 
 /// Measures an evolved mesh against its border.
 pub fn fit(gate: usize, surface: Surface, evolved: Evolved, border: &Border, flow: &Flow, grid: &Grid) -> Result<Fit, PipelineError> {
@@ -78,18 +71,4 @@ pub fn check(gate: usize, result: &GateReconstruction) -> Result<(), PipelineErr
     }
     let why = format!("it encloses {inner:.1} ml, the epicardial one {outer:.1} ml");
     Err(PipelineError::NotConverged { gate, surface: Surface::Endocardial, why })
-}
-
-/// What the reader of a gate's result should know.
-pub(super) fn warnings(gate: usize, found: &Borders) -> Vec<Warning> {
-    Surface::BOTH
-        .into_iter()
-        .filter(|&surface| *found.coverage.get(surface) < FULL_COVERAGE)
-        .map(|surface| {
-            let seen = 100.0 * found.coverage.get(surface);
-            let message =
-                format!("The {} border was seen on {seen:.0} % of the circumferences; the surface bridges the rest.", surface.name());
-            Warning::at_gate(gate, "partial_border", message)
-        })
-        .collect()
 }

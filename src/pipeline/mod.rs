@@ -3,6 +3,7 @@
 //! Pure functions: no clock, files, network, environment or database. The same study and parameters give the same result to the last
 //! bit at any number of threads.
 
+mod arc;
 mod axis;
 pub mod block_matrix;
 pub mod borders;
@@ -11,12 +12,14 @@ pub mod conditions;
 pub mod deform;
 mod ends;
 mod freeze;
+pub mod gaps;
 pub mod gvf;
 pub mod integrate;
 pub mod measure;
 pub mod models;
 pub mod monitor;
 pub mod parameters;
+mod plain;
 pub mod region;
 pub mod rest;
 mod rings;
@@ -253,8 +256,12 @@ fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monit
     let found = first_error(found)?;
     let gates = evolve_cycle(study, &found, parameters, monitor)?;
     let mut warnings = location.warnings();
-    warnings.extend(found.iter().enumerate().flat_map(|(gate, borders)| measure::warnings(gate + 1, borders)));
-    Ok(Reconstruction { gates, region: location.region(&study.grid), parameters: parameters.clone(), warnings })
+    let region = location.region(&study.grid);
+    let unseen = |(gate, borders): (usize, &Borders)| {
+        gaps::warnings(gate + 1, &borders.coverage, &borders.unseen, study.orientation.as_ref(), region.base_at_last_slice)
+    };
+    warnings.extend(found.iter().enumerate().flat_map(unseen));
+    Ok(Reconstruction { gates, region, parameters: parameters.clone(), warnings })
 }
 
 /// All results, or of several failures the first gate's, whichever thread was first.

@@ -5,9 +5,10 @@
 
 use super::{
     PerSurface, PipelineError, Region,
+    arc::recentred,
     axis::{ANGLES, AxisLine, BEYOND_WALL_MM, at, best_centre, directions, fit_axis, follow_rings, middle_mm, significant},
     canny::smooth_known,
-    ends::{Direction, Ends, apices, direction, median, wall_ends},
+    ends::{Apices, Direction, Ends, apices, direction, median, wall_ends},
     parameters::RegionMarks,
 };
 use crate::{
@@ -41,6 +42,8 @@ pub struct Extent {
     pub radius_mm: f64,
     /// Height (grid z in mm) of the apex of each surface.
     pub apex_mm: PerSurface<f64>,
+    /// Whether there is a wall at the apex.
+    pub apex_seen: bool,
     /// Height (grid z in mm) of the valve plane.
     pub base_mm: f64,
     spacing_z_mm: f64,
@@ -123,6 +126,7 @@ impl Location {
                     endocardial: typical(gate, |extent| extent.apex_mm.endocardial),
                     epicardial: typical(gate, |extent| extent.apex_mm.epicardial),
                 },
+                apex_seen: typical(gate, |extent| f64::from(u8::from(extent.apex_seen))) > 0.5,
                 ..single[gate].clone()
             })
             .collect()
@@ -142,11 +146,23 @@ impl Location {
         let high_mm = near(self.ends.high_mm, self.slices_given[1], found.map(|ends| ends.high_mm));
         let (apex, base_mm) = if self.direction.base_at_last_slice { (low_mm, high_mm) } else { (high_mm, low_mm) };
         let (axial, apex_given) = (self.axial_profile(&grid, &smooth), self.slices_given[usize::from(!self.direction.base_at_last_slice)]);
-        let mut apex_mm = apices(&grid, &axial, apex, base_mm);
+        let dz = grid.spacing_mm[0];
+        let between = |slice: usize| (low_mm..=high_mm).contains(&(slice as f64 * dz));
+        // The brightest slice: with half the wall emptied the middle one may be dark.
+        let wall = (0..profile.len()).filter(|&slice| between(slice)).map(|slice| profile[slice]).fold(0.0, f64::max);
+        let Apices { at_mm: mut apex_mm, seen: apex_seen } = apices(&grid, &axial, wall, apex, base_mm);
         if apex_given {
             apex_mm.epicardial = apex;
         }
-        Extent { known: self.known.clone(), axis: self.axis, radius_mm: self.radius_mm, apex_mm, base_mm, spacing_z_mm: grid.spacing_mm[0] }
+        Extent {
+            known: self.known.clone(),
+            axis: self.axis,
+            radius_mm: self.radius_mm,
+            apex_mm,
+            apex_seen,
+            base_mm,
+            spacing_z_mm: grid.spacing_mm[0],
+        }
     }
 
     /// The wall's uptake in each slice: the median over the angles of the maximum from the axis to outside the wall.
@@ -197,9 +213,15 @@ pub fn locate(study: &Study, marks: &RegionMarks) -> Result<Location, PipelineEr
     };
     let rings = follow_rings(&grid, &smooth, start, marks.centre_mm.is_some());
     let rings = significant(&grid, rings)?;
-    let axis = if marks.centre_mm.is_some() { AxisLine { at_mm: start, slope: DVec2::ZERO } } else { fit_axis(&rings) };
     let mut radii: Vec<f64> = rings.iter().map(|ring| ring.radius_mm).collect();
-    let mid_wall_mm = median(&mut radii);
+    let mut mid_wall_mm = median(&mut radii);
+    let mut axis = if marks.centre_mm.is_some() { AxisLine { at_mm: start, slope: DVec2::ZERO } } else { fit_axis(&rings) };
+    if let Some((of_arcs, radius_mm)) = recentred(&grid, &smooth, &rings, axis, mid_wall_mm) {
+        mid_wall_mm = radius_mm;
+        if marks.centre_mm.is_none() {
+            axis = of_arcs;
+        }
+    }
     let dz = grid.spacing_mm[0];
     let middle = middle_mm(&rings);
     let mut location = Location {

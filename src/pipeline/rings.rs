@@ -28,6 +28,14 @@ const BAND_PIXELS: f64 = 2.0;
 /// How far a circumference may differ from the median of its neighbours', as part of it: a ventricle narrows by less within 10 mm.
 const NEIGHBOURS_AGREE: f64 = 0.3;
 
+/// Cosine of the greatest angle between the gradient and the direction from the axis: 45°. Where the wall ends at a defect, its border turns from
+/// one surface to the other; each half of that turn belongs to its surface's side of the gap, not to its ring.
+const ACROSS: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
+/// A slice whose strongest edge has less than this part of a typical slice's shows no wall. In one gate of each real study the weakest epicardial slice has 0.4,
+/// and only the slice at the tip of the cavity less than this.
+const FAINT: f32 = 0.2;
+
 /// How far around, in sectors and in slices, a point of the border is compared with.
 const AROUND: usize = 3;
 /// How far a point may lie from the median of its surroundings, as part of that, and at least this many pixels.
@@ -51,7 +59,7 @@ fn seen_part(radii: &Radii, pixel_mm: f64) -> f64 {
 }
 
 /// Sectors that a pixel spans on either side of its own.
-fn spanned(radius_mm: f64, pixel_mm: f64) -> usize {
+pub(super) fn spanned(radius_mm: f64, pixel_mm: f64) -> usize {
     ((pixel_mm / radius_mm.max(pixel_mm / 2.0) * SECTORS as f64 / TAU / 2.0).round() as usize).min(SECTORS / 2)
 }
 
@@ -138,6 +146,7 @@ pub(super) fn rings(gradient: &Gradient, extent: &Extent, parameters: &Parameter
     for point in edges(gradient, &eligible, &parameters.edges) {
         slices[point.voxel[0]].push((point, polar(extent, &point)));
     }
+    drop_faint(&mut slices);
     let first: Vec<Option<f64>> = slices.iter().map(|points| circumference(points, pixel_mm, (pixel_mm, extent.radius_mm))).collect();
     // Radii and coverage follow from the points once those that stand out are gone.
     let mut rings = Rings { surface, radius_mm: vec![None; grid.shape[0]], coverage: vec![0.0; grid.shape[0]], points: Vec::new() };
@@ -148,12 +157,32 @@ pub(super) fn rings(gradient: &Gradient, extent: &Extent, parameters: &Parameter
         };
         let Some(radius_mm) = circumference(points, pixel_mm, limits) else { continue };
         let band = band_mm(radius_mm, pixel_mm);
-        let near = points.iter().filter(|(_, polar)| (polar.radius_mm - radius_mm).abs() <= band);
+        let near = points.iter().filter(|(point, polar)| (polar.radius_mm - radius_mm).abs() <= band && runs_around(extent, point));
         rings.points.extend(near.map(|(point, _)| *point));
     }
     rings.reject_outliers(extent, pixel_mm);
     rings.trim_apex(extent);
     rings
+}
+
+/// Drops the edges of slices without wall: thresholds are relative to the slice, and in an empty one noise passes them.
+fn drop_faint(slices: &mut [Vec<(EdgePoint, Polar)>]) {
+    let strongest: Vec<f32> = slices.iter().map(|points| points.iter().map(|(point, _)| point.strength).fold(0.0, f32::max)).collect();
+    let mut sorted: Vec<f32> = strongest.iter().copied().filter(|&strength| strength > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    // The upper quartile: up to three quarters of the slices may be empty.
+    let Some(typical) = sorted.get(sorted.len() * 3 / 4) else { return };
+    for (points, strongest) in slices.iter_mut().zip(strongest) {
+        if strongest < FAINT * typical {
+            points.clear();
+        }
+    }
+}
+
+/// Whether a border runs around the axis rather than towards it, as at the sides of a gap in the wall.
+fn runs_around(extent: &Extent, point: &EdgePoint) -> bool {
+    let out = extent.from_axis_mm(point.position_mm).normalize_or_zero();
+    out.dot(point.uphill.truncate().normalize_or_zero()).abs() >= ACROSS
 }
 
 /// Median radius of the slices within 10 mm.

@@ -6,6 +6,6 @@ mod report;
 
 pub use fits::{DistanceTrace, Extremes, FitSummary, GvfSummary, ParticleDistances, SurfaceFits, TriangleSummary};
 pub use report::{
-    Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, QUALITY_LIMITS, Quality, QualityLimits, RegionSummary,
-    Remark, Report, SCHEMA, Software, StudySummary, Timing, TimingReport, build,
+    AffectedRegion, AffectedSector, Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, QUALITY_LIMITS, Quality,
+    QualityLimits, RegionSummary, Remark, Report, SCHEMA, Software, StudySummary, Timing, TimingReport, build,
 };

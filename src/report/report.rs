@@ -6,7 +6,7 @@
 use super::fits::SurfaceFits;
 use crate::{
     pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
-    study::{Format, Study, Warning},
+    study::{Affected, AffectedArc, Format, Study, Warning},
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -192,6 +192,44 @@ pub struct Remark {
     /// The gate it concerns, counted from 1; absent for the whole study.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gate: Option<usize>,
+    /// The part of a border it concerns; only with `partial_border`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub affected: Option<AffectedRegion>,
+}
+
+/// Where a border was not seen and the surface was bridged: the largest contiguous gap.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct AffectedRegion {
+    /// `endocardial` or `epicardial`.
+    #[schema(example = "endocardial")]
+    pub surface: String,
+    /// First slice, counted from 1.
+    pub first_slice: usize,
+    /// Last slice, counted from 1.
+    pub last_slice: usize,
+    /// The part of the circumference; absent where only the apex was not seen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub arc: Option<AffectedSector>,
+    /// Whether no wall was seen at the apex. The surface is then closed where the wall around ends, and what lies beyond is not in the volume.
+    pub apex_unseen: bool,
+}
+
+/// A part of the circumferences about the ventricle's axis.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct AffectedSector {
+    /// Where it begins, in degrees about the ventricle's axis in the plane of the slices: 0 towards the last column, 90 towards the last row, 180
+    /// towards the first column, 270 towards the first row. A multiple of 10.
+    #[schema(maximum = 359)]
+    pub from_degrees: usize,
+    /// Where it ends, going up from `from_degrees`; over 360 if it is the smaller one.
+    #[schema(maximum = 360)]
+    pub to_degrees: usize,
+    /// The edge of the image that its middle points to: `first row`, `last row`, `first column` or `last column`.
+    #[schema(example = "first row")]
+    pub towards: String,
+    /// The walls it covers, the one at its middle first: `anterior`, `inferior`, `septal`, `lateral`. Empty where the study does not say how it
+    /// lies in the patient, or lies in it unusually.
+    pub walls: Vec<String>,
 }
 
 /// Wall-clock times, the only part of a report that differs between two runs.
@@ -344,6 +382,19 @@ impl From<Region> for RegionSummary {
 
 impl From<&Warning> for Remark {
     fn from(warning: &Warning) -> Self {
-        Self { code: warning.code.clone(), message: warning.message.clone(), gate: warning.gate }
+        Self {
+            code: warning.code.clone(),
+            message: warning.message.clone(),
+            gate: warning.gate,
+            affected: warning.affected.as_ref().map(AffectedRegion::from),
+        }
+    }
+}
+
+impl From<&Affected> for AffectedRegion {
+    fn from(affected: &Affected) -> Self {
+        let Affected { surface, first_slice, last_slice, arc, apex_unseen } = affected.clone();
+        let sector = |AffectedArc { from_degrees, to_degrees, towards, walls }| AffectedSector { from_degrees, to_degrees, towards, walls };
+        Self { surface, first_slice, last_slice, arc: arc.map(sector), apex_unseen }
     }
 }

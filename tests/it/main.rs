@@ -7,6 +7,7 @@ mod http;
 mod imports;
 mod intake;
 mod jobs;
+mod missing;
 mod models;
 mod openapi;
 mod operations;

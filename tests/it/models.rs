@@ -72,7 +72,10 @@ fn distances_show_the_oscillation_that_freezing_ends() {
     let frozen = report(&served, &file, asked);
     let swinging = report(&served, &file, &format!("{asked}&deform.freezing=false"));
     let (still_moving, moving) = (swinging_part(&frozen), swinging_part(&swinging));
-    assert!(moving > 3.0 * still_moving && moving > 0.25, "with freezing {still_moving} of the particles swing at the end, without {moving}");
+    assert!(
+        moving > 3.0 * still_moving && moving > 0.25,
+        "with freezing {still_moving} of the particles swing at the end, without {moving}"
+    );
     for report in [&frozen, &swinging] {
         let trace = &report["gates"][0]["fit"]["epicardial"]["distances"];
         let samples = trace["time_s"].as_array().unwrap().len();
