@@ -7,7 +7,7 @@ use std::{path::Path, process::Command};
 use ventricle::{
     export::{ExportError, glb},
     mesh::Mesh,
-    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
+    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop, wall::WallOrder},
     report,
     study::{Acquisition, Format, Gate, Orientation, Study},
     volume::{Grid, Volume},
@@ -40,7 +40,7 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
             let inner = DVec3::new(24.0, 25.0, 45.0) * (1.0 - (1.0 - phase.cos()) / 6.0);
             let wall = 90_000.0;
             let outer = inner * (1.0 + wall / inner.element_product()).cbrt();
-            GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) } }
+            GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) }, wall_order: WallOrder::default() }
         })
         .collect();
     let region =
