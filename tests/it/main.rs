@@ -16,3 +16,4 @@ mod restart;
 mod served;
 mod shared;
 mod surfaces;
+mod wall;

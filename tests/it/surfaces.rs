@@ -49,7 +49,7 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
 }
 
 /// An oblique short-axis frame of either handedness.
-fn oblique(mirrored: bool) -> Orientation {
+pub(crate) fn oblique(mirrored: bool) -> Orientation {
     let columns = DVec3::new(0.6, 0.8, 0.0);
     let rows = DVec3::new(0.0, 0.0, -1.0);
     let slices = columns.cross(rows) * if mirrored { -1.0 } else { 1.0 };
