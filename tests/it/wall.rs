@@ -92,14 +92,13 @@ fn assert_in_order(study: &Study, level: u32, what: &str) -> Reconstruction {
 #[test]
 fn every_tetrahedron_of_a_reconstruction_has_a_positive_volume() {
     let imaging = Imaging { gates: 2, ..Imaging::default() };
-    for (name, phantom) in [
-        ("demo", Phantom { imaging: imaging.clone(), ..Phantom::demo() }),
-        ("small", Phantom { imaging: imaging.clone(), ..Phantom::small() }),
-        ("twisted", Phantom { imaging, ..Phantom::twisted() }),
-        ("paper", Phantom::paper()),
+    for (name, phantom, levels) in [
+        ("paper", Phantom::paper(), 2..=4),
+        ("demo", Phantom { imaging: imaging.clone(), ..Phantom::demo() }, 3..=3),
+        ("small", Phantom { imaging, ..Phantom::small() }, 4..=4),
     ] {
         let study = phantom::simulate(&phantom).unwrap().study;
-        for level in [2, 3, 4] {
+        for level in levels {
             let result = assert_in_order(&study, level, name);
             assert!(level < 3 || result.gates[0].wall_order.inverted_before > 0, "{name}: nothing was to be done, so nothing was shown");
         }
@@ -153,24 +152,25 @@ fn the_file_holds_the_wall_of_the_report_in_every_frame() {
 
 #[test]
 fn thickness_is_that_of_the_wall_and_not_of_the_valve_plane() {
-    // Spheres of 20 and 30 mm, cut by one plane 15 mm above their centre, at either end of the stack.
+    // Half spheres of 20 and 30 mm, the base at either end of the stack: everywhere the closest point lies on the radius.
     for base_at_last_slice in [true, false] {
         let base = if base_at_last_slice { 1.0 } else { -1.0 };
         let (_, mut reconstruction) = beating(1, 4, None);
         reconstruction.region.base_at_last_slice = base_at_last_slice;
-        let cut = |radius: f64| Mesh::icosphere(4).map(|p| (p * radius).with_z(base * (base * p.z * radius).min(15.0)));
+        let cut = |radius: f64| Mesh::icosphere(4).map(|p| (p * radius).with_z(base * (base * p.z * radius).min(0.0)));
         let gate = &mut reconstruction.gates[0];
         gate.fits.endocardial.mesh = cut(20.0);
         gate.fits.epicardial.mesh = cut(30.0);
         let thickness = Thickness::of(gate, base_at_last_slice);
         let range = thickness.range().unwrap();
-        assert!((range.mean_mm - 10.0).abs() < 0.1 && range.min_mm > 9.9 && range.max_mm < 10.5, "{range:?}");
+        assert!((range.mean_mm - 10.0).abs() < 0.05 && range.min_mm > 9.9 && range.max_mm < 10.1, "{range:?}");
         for surface in Surface::BOTH {
             let mesh = &gate.fits.get(surface).mesh;
             for ((position, &in_lid), mm) in mesh.positions.iter().zip(thickness.in_lid.get(surface)).zip(thickness.mm.get(surface)) {
                 let height = base * position.z;
-                assert!(!in_lid || height > 10.0, "{position}");
-                assert!(in_lid || height < 12.0, "{position}");
+                // The rim's 4 mm, and an edge more where normals at it are mixed.
+                assert!(!in_lid || height > -6.0, "{position}");
+                assert!(in_lid || height <= -4.0, "{position}");
                 assert!(mm.is_finite());
             }
         }
