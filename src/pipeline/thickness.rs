@@ -1,13 +1,14 @@
 //! The thickness of the wall at every vertex of both surfaces.
 //!
 //! Definition `closest_point`: the distance from the vertex to the closest point of the other surface's wall, exact on its triangles. Of
-//! the usual definitions it is the one that needs no correspondence across the wall; it is never more than the distance along a normal.
+//! the usual definitions it is the one that needs no correspondence across the wall; it takes the shortest way.
 //!
 //! In the valve plane both surfaces end in a lid that no wall stands behind. A vertex faces the base where its outward normal is within 45° of
 //! the direction of the stack that leads to the base; the lid's height is the median of the vertices that do. To the lid belong the
 //! vertices that face the base and those that reach to less than 4 mm below that height: the rim, and what is crumpled in the lid.
 //! Triangles that touch the other surface's lid are not part of its wall. At vertices of the lid itself the distance is to the whole
-//! other surface, nominal and near zero.
+//! other surface, nominal and near zero. Just below the rim of a wall that leans inwards the closest point would lie beyond the valve plane;
+//! the value is then the distance to what is left of the wall: up to 15 % too much on spheres of 20 and 30 mm cut 15 mm above their centre.
 
 use super::{GateReconstruction, PerSurface, Surface};
 use crate::mesh::{Mesh, distance::Triangles};

@@ -20,6 +20,8 @@ pub struct WallSummary {
     pub inverted: usize,
     /// Tetrahedra that were, when the surfaces had evolved and before the wall was put in order.
     pub inverted_before: usize,
+    /// Triangles of both surfaces that face the wrong way, seen from the surface's centre.
+    pub turned_triangles: usize,
     /// The longest way a vertex was moved to put the wall in order, in mm.
     pub largest_move_mm: f64,
     /// The mean way over the vertices of both surfaces, in mm.
@@ -41,6 +43,7 @@ impl WallSummary {
             tetrahedra: wall.as_ref().map_or(0, |wall| wall.tetrahedra.len()),
             inverted: wall.as_ref().map_or(0, Wall::inverted),
             inverted_before: gate.wall_order.inverted_before,
+            turned_triangles: gate.wall_order.turned,
             largest_move_mm: gate.wall_order.largest_move_mm,
             mean_move_mm: gate.wall_order.mean_move_mm,
             thickness_mm: range.map(|range| Extremes { mean: range.mean_mm, max: range.max_mm, min: range.min_mm }),
