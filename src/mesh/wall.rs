@@ -13,7 +13,7 @@ use glam::DVec3;
 pub struct Wall {
     /// Vertices of the inner surface, then those of the outer one, in the same order, in mm.
     pub positions: Vec<DVec3>,
-    /// Vertex indices; seen from the fourth vertex the first three run clockwise, so that a sound tetrahedron's volume is positive.
+    /// Vertex indices; seen from the fourth vertex the first three run counter-clockwise, so that a sound tetrahedron's volume is positive.
     pub tetrahedra: Vec<[u32; 4]>,
 }
 
@@ -42,8 +42,8 @@ impl Wall {
         self.tetrahedra.iter().map(|tetrahedron| tetrahedron.map(|vertex| self.positions[vertex as usize]))
     }
 
-    /// Signed volume of every tetrahedron in mm³. Their sum is the outer mesh's volume less the inner one's, inverted or not: every side of
-    /// a prism is met twice, from either side.
+    /// Signed volume of every tetrahedron in mm³. Their sum is the outer mesh's volume less the inner one's, inverted or not: every side
+    /// of a prism is met twice, from either side.
     pub fn volumes_mm3(&self) -> impl Iterator<Item = f64> + '_ {
         self.corners().map(signed_volume_mm3)
     }
