@@ -3,9 +3,9 @@
 use super::Mesh;
 use glam::DVec3;
 
-/// Triangles in a block. Those of an icosphere follow each other as they were split, so sixteen in a row are one triangle two levels up
-/// and lie together; on other meshes blocks are larger and the search slower, not wrong.
-const BLOCK: usize = 16;
+/// Triangles in a block. Those of an icosphere follow each other as they were split, so four in a row are one triangle a level up and lie
+/// together; on other meshes blocks are larger and the search slower, not wrong.
+const BLOCK: usize = 4;
 
 /// Triangles in blocks with a sphere about each, so that most are passed over.
 #[derive(Debug, Clone)]
@@ -27,12 +27,12 @@ impl Triangles {
     /// Distance from a point to the closest point of the triangles, in the unit of the mesh; `None` if there are none or the point is not
     /// finite.
     pub fn distance(&self, point: DVec3) -> Option<f64> {
-        let to_sphere = |&(centre, radius): &(DVec3, f64)| (point.distance(centre) - radius).max(0.0);
         // The nearest block first: what it holds rules most of the others out.
-        let nearest = (0..self.spheres.len()).min_by(|&a, &b| to_sphere(&self.spheres[a]).total_cmp(&to_sphere(&self.spheres[b])))?;
+        let squares = self.spheres.iter().map(|(centre, _)| point.distance_squared(*centre));
+        let (nearest, _) = squares.clone().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
         let mut best = self.square_in_block(nearest, point);
-        for (block, sphere) in self.spheres.iter().enumerate() {
-            if block != nearest && to_sphere(sphere).powi(2) < best {
+        for (block, (square, (_, radius))) in squares.zip(&self.spheres).enumerate() {
+            if block != nearest && square < (best.sqrt() + radius).powi(2) {
                 best = best.min(self.square_in_block(block, point));
             }
         }
