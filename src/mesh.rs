@@ -1,5 +1,8 @@
 //! Closed triangle meshes: the icosphere every surface starts from, and what is measured on a mesh.
 
+pub mod distance;
+pub mod wall;
+
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::{collections::HashMap, sync::Arc};

@@ -11,7 +11,7 @@ use std::{
     path::PathBuf,
 };
 use ventricle::{
-    export::glb,
+    export::{glb, vtu},
     intake::{self, Limits, Options, Part},
     jobs::Progress,
     parameters,
@@ -53,6 +53,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     glb: Option<PathBuf>,
 
+    /// Where to write the wall of every gate as tetrahedra: a directory that gets `wall-1.vtu`, `wall-2.vtu` and so on.
+    #[arg(long, value_name = "DIR")]
+    wall: Option<PathBuf>,
+
     /// Threads to use [default: one a processor].
     #[arg(long)]
     threads: Option<NonZeroUsize>,
@@ -79,6 +83,14 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     }
     if let Some(path) = &args.glb {
         fs::write(path, glb::cycle(&study, &reconstruction)?).with_context(|| format!("{} could not be written", path.display()))?;
+    }
+    if let Some(folder) = &args.wall {
+        fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;
+        for gate in 0..reconstruction.gates.len() {
+            let path = folder.join(format!("wall-{}.vtu", gate + 1));
+            fs::write(&path, vtu::wall(&study, &reconstruction, gate)?)
+                .with_context(|| format!("{} could not be written", path.display()))?;
+        }
     }
     let shown = if args.json { pretty(&report)? } else { table(&report, None) };
     std::io::stdout().write_all(shown.as_bytes())?;

@@ -37,21 +37,27 @@ impl SceneFrame {
         if self.orientation.is_some() { ["left", "head", "front"] } else { ["columns", "slices", "rows reversed"] }
     }
 
+    /// A point in grid mm in mm along the frame's own axes: the patient's (LPS), or the grid's where they are not known.
+    pub fn mm(&self, grid_mm: DVec3) -> DVec3 {
+        self.orientation.map_or(grid_mm, |orientation| orientation.patient_mm(grid_mm))
+    }
+
+    /// Whether the frame turns triangles and tetrahedra inside out.
+    pub fn mirrors(&self) -> bool {
+        self.orientation.is_some_and(|orientation| orientation.mirrors())
+    }
+
     /// A point in grid mm as a point of the scene in m, about the scene's origin. (x, y, z) becomes (x, z, −y): a quarter turn about X that
     /// lifts the patient's head (LPS +z) to +Y and brings the front (−y) towards the viewer at +Z.
     pub fn scene_m(&self, grid_mm: DVec3) -> DVec3 {
-        let mm = self.orientation.map_or(grid_mm, |orientation| orientation.patient_mm(grid_mm));
+        let mm = self.mm(grid_mm);
         DVec3::new(mm.x, mm.z, -mm.y) / 1000.0
     }
 
     /// A mesh in grid mm as a mesh of the scene about [`Self::centre_m`], triangles outward also when the grid is left-handed in the patient.
     pub fn mesh(&self, mesh: &Mesh) -> Mesh {
         let moved = mesh.map(|point| self.scene_m(point) - self.centre_m);
-        if self.orientation.is_some_and(|orientation| orientation.mirrors()) {
-            Mesh { triangles: moved.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect(), ..moved }
-        } else {
-            moved
-        }
+        if self.mirrors() { Mesh { triangles: moved.triangles.iter().map(|&[a, b, c]| [a, c, b]).collect(), ..moved } } else { moved }
     }
 }
 

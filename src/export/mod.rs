@@ -3,6 +3,7 @@
 mod buffer;
 pub mod frame;
 pub mod glb;
+pub mod vtu;
 
 use crate::pipeline::Surface;
 
@@ -45,4 +46,13 @@ pub enum ExportError {
     /// The JSON part could not be written.
     #[error("The glTF document could not be written: {0}.")]
     Json(#[from] serde_json::Error),
+    /// An array could not be compressed.
+    #[error("The wall could not be written: {0}.")]
+    Compression(#[from] std::io::Error),
+    /// Both surfaces of a gate differ in topology.
+    #[error("Gate {gate}: the surfaces do not have the same topology, so there are no tetrahedra between them.")]
+    NoWall {
+        /// Counted from 1.
+        gate: usize,
+    },
 }

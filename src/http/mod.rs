@@ -147,6 +147,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::surfaces))
         .routes(routes!(results::endocardial))
         .routes(routes!(results::epicardial))
+        .routes(routes!(results::wall))
         .routes(routes!(docs::list_parameters))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

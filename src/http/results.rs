@@ -17,6 +17,8 @@ use uuid::Uuid;
 
 /// Media type of a binary glTF file.
 const GLB: &str = "model/gltf-binary";
+/// Media type of a VTK XML file, which has none of its own.
+const VTU: &str = "application/xml";
 
 /// Reads the report.
 ///
@@ -102,6 +104,29 @@ pub(super) async fn epicardial(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     result(&state, id, &headers, GLB, &format!("gates/{gate}/epicardial.glb")).await
+}
+
+/// Reads the wall of one gate.
+///
+/// Tetrahedra between both surfaces as a VTK XML file (`UnstructuredGrid`), in mm along the patient's axes (LPS) or, without an orientation,
+/// the grid's. Points carry `thickness_mm`, `surface` (0 endocardial, 1 epicardial), `lid` (1 in the valve plane, where the thickness is
+/// nominal) and `displacement_mm` (since the end-diastolic gate), cells `volume_mm3`.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/gates/{gate}/wall.vtu", operation_id = "getWall", tag = "results",
+    params(
+        ("id" = String, Path, format = "uuid", description = "Id of the reconstruction"),
+        ("gate" = u32, Path, minimum = 1, description = "Gate, counted from 1"),
+    ),
+    responses(
+        (status = 200, description = "VTK XML file", body = Binary, content_type = "application/xml"),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction or gate", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes XML", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn wall(State(state): State<AppState>, IdAndGate(id, gate): IdAndGate, headers: HeaderMap) -> Result<Response, Problem> {
+    result(&state, id, &headers, VTU, &format!("gates/{gate}/wall.vtu")).await
 }
 
 /// One stored result, or why there is none.

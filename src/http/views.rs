@@ -118,7 +118,7 @@ pub struct ProgressView {
     /// Part of the work done, 0 to 1.
     #[schema(minimum = 0, maximum = 1)]
     pub fraction: f64,
-    /// What is being computed: `region`, `edges`, `borders`, `gradient_vector_flow`, `deformation` or `measurement`; null when not running.
+    /// What is being computed: `region`, `edges`, `borders`, `gradient_vector_flow`, `deformation`, `wall` or `measurement`; null when not running.
     #[schema(required)]
     pub stage: Option<String>,
     /// Gates finished.

@@ -163,7 +163,8 @@ impl Store {
         Ok(if deleted > 0 { Deletion::Deleted } else { Deletion::NotFound })
     }
 
-    /// A result of a job by name: `report`, `surfaces.glb`, `gates/{n}/endocardial.glb`, `gates/{n}/epicardial.glb` (n from 1).
+    /// A result of a job by name: `report`, `surfaces.glb`, `gates/{n}/endocardial.glb`, `gates/{n}/epicardial.glb`,
+    /// `gates/{n}/wall.vtu` (n from 1).
     pub async fn blob(&self, id: Uuid, name: &str) -> Result<Option<Blob>, StoreError> {
         let sql = "SELECT media_type, sha256, data FROM blobs WHERE job_id = $1 AND name = $2";
         let Some(row) = self.inner.database.fetch_one(sql, values![id, name]).await? else { return Ok(None) };

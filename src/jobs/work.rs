@@ -1,8 +1,8 @@
-//! What a job computes: reconstruction, report and surfaces.
+//! What a job computes: reconstruction, report, surfaces and walls.
 
 use super::progress::Progress;
 use crate::{
-    export::{ExportError, glb},
+    export::{ExportError, glb, vtu},
     pipeline::{self, PipelineError, Surface, monitor::Monitor, parameters::Parameters},
     report::{self, Timing},
     study::Study,
@@ -16,10 +16,17 @@ pub const REPORT: &str = "report";
 pub const SURFACES: &str = "surfaces.glb";
 /// Media type of binary glTF (glTF 2.0 §3.2).
 const GLB: &str = "model/gltf-binary";
+/// Media type of a VTK XML file, which has none of its own; `model/vnd.vtu` is registered for another vendor's format.
+const VTU: &str = "application/xml";
 
 /// Name of one surface of one gate (from 1) among a job's blobs.
 pub fn surface_name(gate: usize, surface: Surface) -> String {
     format!("gates/{gate}/{}.glb", surface.name())
+}
+
+/// Name of the wall of one gate (from 1) among a job's blobs.
+pub fn wall_name(gate: usize) -> String {
+    format!("gates/{gate}/wall.vtu")
 }
 
 /// One result of a job.
@@ -55,7 +62,8 @@ pub enum WorkError {
 /// What a worker does with a job. Runs inside the worker's own rayon pool; may panic.
 pub type Work = Arc<dyn Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync>;
 
-/// Reconstructs the study; the results are [`REPORT`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF).
+/// Reconstructs the study; the results are [`REPORT`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF), and the wall of
+/// every gate (VTK).
 pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, progress: &Progress) -> Result<Vec<Output>, WorkError> {
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
@@ -73,6 +81,7 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
             let data = glb::surface(study, &reconstruction, gate, surface)?;
             outputs.push(Output { name: surface_name(gate + 1, surface), media_type: GLB, data });
         }
+        outputs.push(Output { name: wall_name(gate + 1), media_type: VTU, data: vtu::wall(study, &reconstruction, gate)? });
     }
     Ok(outputs)
 }
@@ -90,6 +99,7 @@ impl From<ExportError> for WorkError {
     fn from(error: ExportError) -> Self {
         match error {
             ExportError::Json(error) => Self::Internal(format!("glTF: {error}")),
+            ExportError::Compression(error) => Self::Internal(format!("VTK: {error}")),
             error => Self::Failed { code: "export_failed", message: error.to_string() },
         }
     }

@@ -24,14 +24,17 @@ pub mod region;
 pub mod rest;
 mod rings;
 pub mod smooth;
+pub mod thickness;
 pub mod trace;
+pub mod wall;
 
 use crate::{
-    mesh::Mesh,
+    mesh::{Mesh, wall::Wall},
     study::{Study, Warning},
     volume::{Grid, Volume},
 };
 use borders::Borders;
+use gvf::Flow;
 use monitor::{Monitor, Stage};
 use parameters::{Parameters, Seed};
 use rayon::prelude::*;
@@ -115,9 +118,16 @@ pub struct Fit {
 pub struct GateReconstruction {
     /// Both surfaces.
     pub fits: PerSurface<Fit>,
+    /// What putting the wall between them in order took.
+    pub wall_order: wall::WallOrder,
 }
 
 impl GateReconstruction {
+    /// The wall between the surfaces as tetrahedra, in grid mm; `None` if the surfaces differ in topology, which no reconstruction's do.
+    pub fn wall(&self) -> Option<Wall> {
+        Wall::between(&self.fits.endocardial.mesh, &self.fits.epicardial.mesh)
+    }
+
     /// Volume inside a surface, up to the valve plane, in ml.
     pub fn volume_ml(&self, surface: Surface) -> f64 {
         self.fits.get(surface).mesh.volume_ml()
@@ -235,8 +245,8 @@ impl PipelineError {
 
 /// Reconstructs every gate of a study.
 ///
-/// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, and the
-/// evolution of both surfaces. Gates run in parallel on the caller's rayon pool; nothing is reduced across them in parallel.
+/// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, the
+/// evolution of both surfaces, and the order of the wall between them. Gates run in parallel on the caller's rayon pool; nothing is reduced across them in parallel.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
     reconstruct_cycle(study, parameters, monitor).map_err(|error| error.for_want_of_short_axis(study))
 }
@@ -261,6 +271,7 @@ fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monit
         gaps::warnings(gate + 1, &borders.coverage, &borders.unseen, study.orientation.as_ref(), region.base_at_last_slice)
     };
     warnings.extend(found.iter().enumerate().flat_map(unseen));
+    warnings.extend(gates.iter().enumerate().filter_map(|(gate, result)| wall::warning(gate + 1, &result.wall_order)));
     Ok(Reconstruction { gates, region, parameters: parameters.clone(), warnings })
 }
 
@@ -332,16 +343,24 @@ fn evolve_gate(
     monitor: &dyn Monitor,
 ) -> Result<GateReconstruction, PipelineError> {
     let in_gate = Some(gate);
-    let fit = |surface: Surface, seed: Mesh| {
+    let evolve = |surface: Surface, seed: Mesh| {
         let border = borders.found.get(surface);
         let flow = observed(monitor, Stage::GradientVectorFlow, in_gate, || gvf::flow(grid, border, &parameters.gvf, monitor))?;
         let setting = deform::Setting { grid, border, flow: &flow, parameters, monitor };
         let evolved = observed(monitor, Stage::Deformation, in_gate, || deform::evolve(seed, &setting, &mut |_| ()))?;
-        observed(monitor, Stage::Measurement, in_gate, || measure::fit(gate + 1, surface, evolved, border, &flow, grid))
+        Ok((evolved, flow))
     };
-    let (endocardial, epicardial) =
-        rayon::join(|| fit(Surface::Endocardial, seeds.endocardial), || fit(Surface::Epicardial, seeds.epicardial));
-    let result = GateReconstruction { fits: PerSurface { endocardial: endocardial?, epicardial: epicardial? } };
+    let (inner, outer) = rayon::join(|| evolve(Surface::Endocardial, seeds.endocardial), || evolve(Surface::Epicardial, seeds.epicardial));
+    let ((mut inner, inner_flow), (mut outer, outer_flow)) = (inner?, outer?);
+    let wall_order = observed(monitor, Stage::Wall, in_gate, || Ok(wall::order(&mut inner.mesh, &mut outer.mesh)))?;
+    let result = observed(monitor, Stage::Measurement, in_gate, || {
+        let fit = |surface, evolved, flow: &Flow| measure::fit(gate + 1, surface, evolved, borders.found.get(surface), flow, grid);
+        let fits = PerSurface {
+            endocardial: fit(Surface::Endocardial, inner, &inner_flow)?,
+            epicardial: fit(Surface::Epicardial, outer, &outer_flow)?,
+        };
+        Ok(GateReconstruction { fits, wall_order })
+    })?;
     measure::check(gate + 1, &result)?;
     Ok(result)
 }

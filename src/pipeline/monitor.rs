@@ -17,13 +17,16 @@ pub enum Stage {
     GradientVectorFlow,
     /// The evolution of both deformable meshes.
     Deformation,
+    /// Putting the wall between both surfaces in order.
+    Wall,
     /// Volumes, distances, checks.
     Measurement,
 }
 
 impl Stage {
     /// All stages in the order they run.
-    pub const ALL: [Self; 6] = [Self::Region, Self::Edges, Self::Borders, Self::GradientVectorFlow, Self::Deformation, Self::Measurement];
+    pub const ALL: [Self; 7] =
+        [Self::Region, Self::Edges, Self::Borders, Self::GradientVectorFlow, Self::Deformation, Self::Wall, Self::Measurement];
 
     /// The name used in JSON, metrics and logs.
     pub fn name(self) -> &'static str {
@@ -33,6 +36,7 @@ impl Stage {
             Self::Borders => "borders",
             Self::GradientVectorFlow => "gradient_vector_flow",
             Self::Deformation => "deformation",
+            Self::Wall => "wall",
             Self::Measurement => "measurement",
         }
     }

@@ -58,7 +58,7 @@ pub struct TriangleSummary {
     pub aspect_mm: Extremes,
 }
 
-/// A quantity over all triangles of a mesh.
+/// A quantity over all triangles or vertices of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Extremes {
     /// The mean.

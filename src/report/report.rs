@@ -3,7 +3,7 @@
 //! Names are part of the HTTP contract: fields are added, never renamed. Values are the full `f64`, unrounded, so that reports compare
 //! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
 
-use super::fits::SurfaceFits;
+use super::{fits::SurfaceFits, wall::WallSummary};
 use crate::{
     pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
     study::{Affected, AffectedArc, Format, Study, Warning},
@@ -136,6 +136,8 @@ pub struct GateReport {
     pub epicardial_ml: f64,
     /// Volume of the wall, the difference, in ml.
     pub myocardial_ml: f64,
+    /// The wall as tetrahedra, and its thickness.
+    pub wall: WallSummary,
     /// How the surfaces were reached.
     pub fit: SurfaceFits,
 }
@@ -252,7 +254,9 @@ pub struct Timing {
 
 /// The report of a reconstruction; `id` is the reconstruction's.
 pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
-    let gates: Vec<GateReport> = reconstruction.gates.iter().enumerate().map(|(index, gate)| gate_report(index + 1, gate)).collect();
+    let base_at_last_slice = reconstruction.region.base_at_last_slice;
+    let gates: Vec<GateReport> =
+        (1..).zip(&reconstruction.gates).map(|(number, gate)| gate_report(number, gate, base_at_last_slice)).collect();
     let myocardium = myocardium(&gates);
     let (quality, flagged) = assess(&gates, &myocardium, &QUALITY_LIMITS);
     Report {
@@ -285,12 +289,13 @@ fn study_summary(study: &Study) -> StudySummary {
     }
 }
 
-fn gate_report(number: usize, gate: &GateReconstruction) -> GateReport {
+fn gate_report(number: usize, gate: &GateReconstruction, base_at_last_slice: bool) -> GateReport {
     GateReport {
         gate: number,
         endocardial_ml: gate.volume_ml(Surface::Endocardial),
         epicardial_ml: gate.volume_ml(Surface::Epicardial),
         myocardial_ml: gate.myocardial_ml(),
+        wall: WallSummary::of(gate, base_at_last_slice),
         fit: SurfaceFits { endocardial: (&gate.fits.endocardial).into(), epicardial: (&gate.fits.epicardial).into() },
     }
 }

@@ -18,3 +18,4 @@ mod restart;
 mod served;
 mod shared;
 mod surfaces;
+mod wall;

@@ -55,6 +55,7 @@ fn every_route_of_the_contract_is_documented() {
         "get /v1/reconstructions/{id}/events",
         "get /v1/reconstructions/{id}/gates/{gate}/endocardial.glb",
         "get /v1/reconstructions/{id}/gates/{gate}/epicardial.glb",
+        "get /v1/reconstructions/{id}/gates/{gate}/wall.vtu",
         "get /v1/reconstructions/{id}/report",
         "get /v1/reconstructions/{id}/surfaces.glb",
         "post /v1/reconstructions",

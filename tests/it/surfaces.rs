@@ -7,7 +7,7 @@ use std::{path::Path, process::Command};
 use ventricle::{
     export::{ExportError, glb},
     mesh::Mesh,
-    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
+    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop, wall::WallOrder},
     report,
     study::{Acquisition, Format, Gate, Orientation, Study},
     volume::{Grid, Volume},
@@ -40,7 +40,7 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
             let inner = DVec3::new(24.0, 25.0, 45.0) * (1.0 - (1.0 - phase.cos()) / 6.0);
             let wall = 90_000.0;
             let outer = inner * (1.0 + wall / inner.element_product()).cbrt();
-            GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) } }
+            GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) }, wall_order: WallOrder::default() }
         })
         .collect();
     let region =
@@ -49,7 +49,7 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
 }
 
 /// An oblique short-axis frame of either handedness.
-fn oblique(mirrored: bool) -> Orientation {
+pub(crate) fn oblique(mirrored: bool) -> Orientation {
     let columns = DVec3::new(0.6, 0.8, 0.0);
     let rows = DVec3::new(0.0, 0.0, -1.0);
     let slices = columns.cross(rows) * if mirrored { -1.0 } else { 1.0 };

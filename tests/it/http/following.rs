@@ -88,7 +88,7 @@ async fn results_come_with_the_end_and_are_kept_by_their_tag() {
     let service = working(held(Arc::clone(&go))).await;
     let path = service.submit(0).await;
     service.reach(&path, "running").await;
-    for name in ["report", "surfaces.glb", "gates/1/endocardial.glb"] {
+    for name in ["report", "surfaces.glb", "gates/1/endocardial.glb", "gates/1/wall.vtu"] {
         let early = service.get(&format!("{path}/{name}")).await;
         early.problem(409, "not_finished");
         assert_eq!(early.header("retry-after"), "1");
@@ -112,6 +112,11 @@ async fn results_come_with_the_end_and_are_kept_by_their_tag() {
         assert_eq!(surface.header("content-type"), "model/gltf-binary");
         assert_eq!(surface.bytes, format!("glTF {name}").into_bytes());
     }
+    let wall = service.get(&format!("{path}/gates/1/wall.vtu")).await;
+    assert_eq!((wall.header("content-type"), &wall.bytes[..]), ("application/xml", b"<VTKFile/>".as_slice()));
+    let again = service.call("GET", &format!("{path}/gates/1/wall.vtu"), &[("if-none-match", wall.header("etag"))]).await;
+    assert_eq!(again.status, 304);
+    service.get(&format!("{path}/gates/9/wall.vtu")).await.problem(404, "no_such_result");
     service.get(&format!("{path}/gates/9/endocardial.glb")).await.problem(404, "no_such_result");
     service.get(&format!("{path}/gates/one/endocardial.glb")).await.problem(404, "not_found");
 }

@@ -101,6 +101,7 @@ fn outputs(id: &str) -> Vec<Output> {
         glb("surfaces.glb"),
         glb("gates/1/endocardial.glb"),
         glb("gates/1/epicardial.glb"),
+        Output { name: "gates/1/wall.vtu".into(), media_type: "application/xml", data: b"<VTKFile/>".to_vec() },
     ]
 }
 

@@ -43,9 +43,13 @@ async fn a_wrong_method_is_told_the_right_ones() {
 async fn what_a_client_does_not_accept_is_not_made() {
     let service = working(instant()).await;
     let path = service.finish(0).await;
-    for (suffix, accept) in
-        [("", "text/html"), ("/report", "model/gltf-binary"), ("/surfaces.glb", "application/json"), ("/events", "text/html")]
-    {
+    for (suffix, accept) in [
+        ("", "text/html"),
+        ("/report", "model/gltf-binary"),
+        ("/surfaces.glb", "application/json"),
+        ("/gates/1/wall.vtu", "model/gltf-binary"),
+        ("/events", "text/html"),
+    ] {
         service.call("GET", &format!("{path}{suffix}"), &[("accept", accept)]).await.problem(406, "not_acceptable");
     }
     service.call("GET", "/v1/reconstructions", &[("accept", "text/html")]).await.problem(406, "not_acceptable");
