@@ -9,6 +9,7 @@ mod intake;
 mod jobs;
 mod openapi;
 mod operations;
+mod paper;
 mod phantom;
 mod pipeline;
 mod report;
