@@ -125,7 +125,7 @@ impl Experiment {
         let start = Instant::now();
         let evolved = deform::evolve(seed, &setting, watch)?;
         let seconds = start.elapsed().as_secs_f64();
-        let distances = measure::distances(&evolved.mesh, border, self.grid());
+        let distances = measure::distances(&evolved.mesh.positions, border, self.grid());
         Ok(Run { evolved, seconds, within_one_voxel: distances.within_one_voxel, mean_distance_mm: distances.mean_mm })
     }
 }

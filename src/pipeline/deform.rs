@@ -1,26 +1,22 @@
 //! The evolution of the deformable mesh (paper §3-§5, §7.1): particles under the direction of the gradient vector flow and the model's
-//! internal forces, from the ellipsoid that bounds the border until they freeze on it.
-//!
-//! A particle freezes when it enters a border voxel (§7.1: the Canny border is the stopping mechanism) and is then moved, along the
-//! border's normal, to the edge at sub-voxel precision: freezing alone would leave every surface half a voxel too far out.
+//! internal forces, from an ellipsoid until they freeze on the border (see `freeze`) or get no farther (see `rest`).
 
 use super::{
     PipelineError,
     borders::{Border, BorderPoint},
-    canny::neighbours,
+    freeze::Ice,
     gvf::Flow,
-    integrate::{Particles, step},
-    models::internal_forces,
+    integrate::{Dynamics, Particles, step},
+    models::Internal,
     monitor,
     monitor::Monitor,
-    parameters::{DeformParameters, EdgeMode, Parameters},
-    rest::Stop,
+    parameters::Parameters,
+    rest::{Rest, Stop},
     smooth,
-    trace::Trace,
+    trace::{Recorder, Trace},
 };
 use crate::{mesh::Mesh, volume::Grid};
 use glam::DVec3;
-use std::collections::HashMap;
 
 /// A mesh at the end of its evolution.
 #[derive(Debug, Clone)]
@@ -63,63 +59,69 @@ pub struct Moment<'a> {
     pub frozen: &'a [bool],
 }
 
-/// Acceleration of a particle of unit mass in the field, in mm/s². The paper gives no unit: with this one a particle crosses a
+/// Force of the field on a particle, in mass units × mm/s². The paper gives no unit: with this one a particle of unit mass crosses a
 /// ventricle's radius in about thirty steps of the paper's 0.1 s.
-const FIELD_MM_PER_S2: f64 = 10.0;
+const FIELD_FORCE: f64 = 10.0;
 /// Longest way in a step, as part of the smallest voxel: no border voxel is jumped over.
 const LONGEST_STEP: f64 = 0.5;
-/// Steps without a newly frozen particle after which the rest is taken to hang between border voxels.
-const STALLED_STEPS: usize = 120;
-/// Steps between two smoothing passes over the particles that still move.
-const SMOOTHING_INTERVAL: usize = 4;
+/// Simulated time between two smoothing passes over the particles that still move, in s: four steps of the paper's 0.1 s.
+const SMOOTHING_INTERVAL_S: f64 = 0.4;
 
 /// Evolves the mesh of one surface from its seed; `watch` sees the seed and every step.
 pub fn evolve(seed: Mesh, setting: &Setting<'_>, watch: &mut dyn FnMut(&Moment<'_>)) -> Result<Evolved, PipelineError> {
     let Setting { grid, border, flow, parameters, monitor } = *setting;
     let deform = &parameters.deform;
     let joined = seed.neighbours();
-    let on_border: HashMap<[usize; 3], &BorderPoint> = border.points.iter().map(|point| (point.voxel, point)).collect();
+    let internal = Internal::new(deform, &seed);
+    let field = |place: DVec3| flow.direction(place) * FIELD_FORCE;
+    let drag_per_s = -(1.0 - deform.damping_percent / 100.0).ln();
+    let longest_mm = LONGEST_STEP * grid.smallest_spacing_mm();
+    let smoothing_interval = ((SMOOTHING_INTERVAL_S / deform.time_step_s).round() as usize).max(1);
     let count = seed.positions.len();
-    let mut particles = Particles { velocities: vec![DVec3::ZERO; count], positions: seed.positions.clone() };
-    let mut frozen = vec![false; count];
-    let mut frozen_count = 0;
-    let mut last_frozen = 0;
+    let mut particles = Particles { velocities: vec![DVec3::ZERO; count], positions: seed.positions };
+    let mut ice = Ice::new(border, grid, count);
+    let mut rest = Rest::new(count, deform.time_step_s, deform.rest_voxels * grid.smallest_spacing_mm());
+    let mut recorder = deform.record_distances.then(|| Recorder::new(border, grid, deform.time_step_s));
     let mut steps = 0;
-    watch(&Moment { steps, positions: &particles.positions, frozen: &frozen });
-    while frozen_count < count && steps < deform.max_steps && steps - last_frozen < STALLED_STEPS {
+    let stop = loop {
+        watch(&Moment { steps, positions: &particles.positions, frozen: &ice.frozen });
+        if let Some(recorder) = &mut recorder {
+            recorder.record(steps, &particles.positions);
+        }
+        if ice.holds_all() {
+            break Stop::AllFrozen;
+        }
+        if steps == deform.max_steps {
+            break Stop::StepLimit;
+        }
         monitor::check(monitor)?;
-        let next = step(deform.solver, &particles, deform.time_step_s, |at| accelerations(at, &frozen, flow, deform));
+        let dynamics = Dynamics { internal: &internal, field: &field, mass: deform.mass, drag_per_s, fixed: &ice.frozen };
+        let next = step(deform.solver, &particles, deform.time_step_s, &dynamics);
         steps += 1;
-        for (vertex, frozen) in frozen.iter_mut().enumerate().filter(|(_, frozen)| !**frozen) {
-            (particles.positions[vertex], particles.velocities[vertex]) =
-                limited(particles.positions[vertex], &next, vertex, LONGEST_STEP * grid.smallest_spacing_mm(), deform.time_step_s);
-            let turned = || flow.direction(particles.positions[vertex]).dot(particles.velocities[vertex]) < 0.0;
-            if let Some(point) = reached(grid, &on_border, particles.positions[vertex], turned) {
-                let off_edge = (point.position_mm - particles.positions[vertex]).dot(point.normal);
-                particles.positions[vertex] += point.normal * off_edge;
-                particles.velocities[vertex] = DVec3::ZERO;
-                *frozen = true;
-                frozen_count += 1;
-                last_frozen = steps;
+        for vertex in 0..count {
+            if !ice.frozen[vertex] {
+                (particles.positions[vertex], particles.velocities[vertex]) =
+                    limited(particles.positions[vertex], &next, vertex, longest_mm, deform.time_step_s);
             }
         }
-        if deform.smoothing && steps % SMOOTHING_INTERVAL == 0 {
-            smooth::taubin(&mut particles.positions, &joined, |vertex| !frozen[vertex]);
+        if deform.freezing {
+            ice.freeze(&mut particles, flow, deform.subvoxel);
         }
-        watch(&Moment { steps, positions: &particles.positions, frozen: &frozen });
-    }
-    let stop = if frozen_count == count {
-        Stop::AllFrozen
-    } else if steps == deform.max_steps {
-        Stop::StepLimit
-    } else {
-        Stop::AtRest
+        if deform.smoothing && steps % smoothing_interval == 0 {
+            smooth::taubin(&mut particles.positions, &joined, |vertex| !ice.frozen[vertex]);
+        }
+        if let Some(means) = rest.observe(&particles.positions, &ice.frozen) {
+            for (vertex, mean) in means.into_iter().enumerate().filter(|(vertex, _)| !ice.frozen[*vertex]) {
+                particles.positions[vertex] = mean;
+            }
+            break Stop::AtRest;
+        }
     };
     let mut mesh = Mesh { positions: particles.positions, triangles: seed.triangles };
     if deform.smoothing {
         smooth_whole(&mut mesh, &joined, smooth::final_passes(parameters.mesh.level));
     }
-    Ok(Evolved { mesh, steps, stop, frozen: frozen_count as f64 / count as f64, trace: None })
+    Ok(Evolved { mesh, steps, stop, frozen: ice.part(), trace: recorder.map(Recorder::finish) })
 }
 
 /// The final smoothing: again while a triangle is inverted, up to four times.
@@ -143,53 +145,10 @@ pub fn bounding_ellipsoid<'a>(points: impl IntoIterator<Item = &'a BorderPoint>,
     Mesh::icosphere(level).map(|unit| (low + high) / 2.0 + unit * (high - low) / 2.0)
 }
 
-/// Field, internal forces and damping. A fraction d of the velocity is lost in a step: c = −ln(1 − d)/Δt.
-fn accelerations(at: &Particles, frozen: &[bool], flow: &Flow, deform: &DeformParameters) -> Vec<DVec3> {
-    let damping = -(1.0 - deform.damping_percent / 100.0).ln() / deform.time_step_s;
-    let mut result = internal_forces(deform.model, at);
-    for vertex in 0..result.len() {
-        if frozen[vertex] {
-            result[vertex] = DVec3::ZERO;
-        } else {
-            result[vertex] += flow.direction(at.positions[vertex]) * FIELD_MM_PER_S2 - at.velocities[vertex] * damping;
-        }
-    }
-    result
-}
-
 /// The position and velocity after a step that may be no longer than `longest_mm`.
 fn limited(from: DVec3, next: &Particles, vertex: usize, longest_mm: f64, time_step_s: f64) -> (DVec3, DVec3) {
     let way = (next.positions[vertex] - from).clamp_length_max(longest_mm);
     (from + way, next.velocities[vertex].clamp_length_max(longest_mm / time_step_s))
-}
-
-/// The border point a particle has reached: that of its voxel, or, where the field has turned against it, the nearest one of the voxels
-/// around. A border is joined over corners, and a particle may slip through between two of its voxels.
-fn reached<'a>(
-    grid: &Grid,
-    on_border: &HashMap<[usize; 3], &'a BorderPoint>,
-    position: DVec3,
-    turned: impl Fn() -> bool,
-) -> Option<&'a BorderPoint> {
-    let voxel = grid.voxel_at(clamp_to(grid, position))?;
-    if let Some(point) = on_border.get(&voxel) {
-        return Some(point);
-    }
-    let around = || neighbours(voxel, grid.shape, EdgeMode::Volume).filter_map(|voxel| on_border.get(&voxel).copied());
-    around().next()?;
-    if !turned() {
-        return None;
-    }
-    let distance = |point: &BorderPoint| point.position_mm.distance_squared(position);
-    around().min_by(|a, b| distance(a).total_cmp(&distance(b)))
-}
-
-/// Particles may leave the grid by its first and last slice's outer faces where a ventricle is cut off.
-fn clamp_to(grid: &Grid, point_mm: DVec3) -> DVec3 {
-    let dz = grid.spacing_mm[0];
-    let last = (grid.shape[0] - 1) as f64 * dz;
-    let nearest = point_mm.z.clamp(0.0, last);
-    if (nearest - point_mm.z).abs() <= dz { point_mm.with_z(nearest) } else { point_mm }
 }
 
 #[cfg(test)]

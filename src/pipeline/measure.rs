@@ -6,7 +6,7 @@ use super::{
     deform::Evolved,
     gvf::Flow,
 };
-use crate::{mesh::Mesh, study::Warning, volume::Grid};
+use crate::{study::Warning, volume::Grid};
 use glam::DVec3;
 
 /// A mesh whose particles missed the border by more than this part has not found it.
@@ -16,7 +16,7 @@ const FULL_COVERAGE: f64 = 0.75;
 
 /// Measures an evolved mesh against its border.
 pub fn fit(gate: usize, surface: Surface, evolved: Evolved, border: &Border, flow: &Flow, grid: &Grid) -> Result<Fit, PipelineError> {
-    let Distances { within_one_voxel, mean_mm } = distances(&evolved.mesh, border, grid);
+    let Distances { within_one_voxel, mean_mm } = distances(&evolved.mesh.positions, border, grid);
     let volume = evolved.mesh.volume_ml();
     if within_one_voxel < LEAST_WITHIN_ONE_VOXEL || !volume.is_finite() || volume <= 0.0 {
         let why = format!(
@@ -38,24 +38,24 @@ pub fn fit(gate: usize, surface: Surface, evolved: Evolved, border: &Border, flo
     })
 }
 
-/// How far the particles of a mesh are from a border.
+/// How far particles are from the border.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Distances {
-    /// Fraction less than one voxel (each axis by its own spacing) from a border voxel's centre, 0-1.
+    /// Fraction of them less than one voxel from a border voxel's centre, 0-1.
     pub within_one_voxel: f64,
     /// Mean distance to the nearest border voxel's centre in mm.
     pub mean_mm: f64,
 }
 
-/// Measures the particles of a mesh against a border.
-pub fn distances(mesh: &Mesh, border: &Border, grid: &Grid) -> Distances {
+/// Measures particles against their border (the paper's Table 1).
+pub fn distances(positions: &[DVec3], border: &Border, grid: &Grid) -> Distances {
     let (mut within, mut total_mm) = (0_usize, 0.0);
-    for &position in &mesh.positions {
+    for &position in positions {
         let (voxels, mm) = nearest(position, border, grid);
         within += usize::from(voxels < 1.0);
         total_mm += mm;
     }
-    let particles = mesh.positions.len() as f64;
+    let particles = positions.len().max(1) as f64;
     Distances { within_one_voxel: within as f64 / particles, mean_mm: total_mm / particles }
 }
 

@@ -4,10 +4,13 @@
 //! bit at any number of threads.
 
 mod axis;
+pub mod block_matrix;
 pub mod borders;
 pub mod canny;
+pub mod conditions;
 pub mod deform;
 mod ends;
+mod freeze;
 pub mod gvf;
 pub mod integrate;
 pub mod measure;
