@@ -1,6 +1,6 @@
 //! A simulated gate with its borders, from which every run of the tables starts: the same border and field for every model and solver.
 
-use super::PaperError;
+use super::{PaperError, printed};
 use crate::{
     mesh::Mesh,
     phantom::{self, Phantom, Simulation, Truth},
@@ -111,7 +111,17 @@ impl Experiment {
         deform::bounding_ellipsoid(&self.border(surface).points, level)
     }
 
-    /// Lets the mesh of a surface evolve in a field; `watch` sees the seed and every step.
+    /// The initial mesh enlarged about its middle until its area is that of the printed mesh of as many triangles (Table 2): the paper's
+    /// meshes start outside the data.
+    pub fn seed_of_printed_area(&self, surface: Surface, level: u32) -> Mesh {
+        let seed = self.seed(surface, level);
+        let middle = seed.centroid();
+        let printed = printed::TRIANGLES.iter().position(|&triangles| triangles == seed.triangles.len());
+        let factor = printed.map_or(1.0, |mesh| (printed::initial_area_mm2(mesh) / seed.area_mm2()).sqrt());
+        seed.map(|position| middle + (position - middle) * factor)
+    }
+
+    /// Lets the bounding ellipsoid of a surface evolve in a field; `watch` sees the seed and every step.
     pub fn run(
         &self,
         surface: Surface,
@@ -119,9 +129,20 @@ impl Experiment {
         parameters: &Parameters,
         watch: &mut dyn FnMut(&Moment<'_>),
     ) -> Result<Run, PaperError> {
+        self.run_from(self.seed(surface, parameters.mesh.level), surface, flow, parameters, watch)
+    }
+
+    /// Lets a mesh evolve to the border of a surface in its field.
+    pub fn run_from(
+        &self,
+        seed: Mesh,
+        surface: Surface,
+        flow: &Flow,
+        parameters: &Parameters,
+        watch: &mut dyn FnMut(&Moment<'_>),
+    ) -> Result<Run, PaperError> {
         let border = self.border(surface);
         let setting = Setting { grid: self.grid(), border, flow, parameters, monitor: &Silent };
-        let seed = self.seed(surface, parameters.mesh.level);
         let start = Instant::now();
         let evolved = deform::evolve(seed, &setting, watch)?;
         let seconds = start.elapsed().as_secs_f64();

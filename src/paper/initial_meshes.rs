@@ -59,12 +59,9 @@ pub fn markdown(rows: &[Row; 3]) -> String {
     line("mean (mm² / mm)", &|row| measures(&row.quality, 0), &as_printed(|p| (p.area_mm2[0], p.aspect_mm[0])));
     line("largest", &|row| measures(&row.quality, 1), &as_printed(|p| (p.area_mm2[1], p.aspect_mm[1])));
     line("smallest", &|row| measures(&row.quality, 2), &as_printed(|p| (p.area_mm2[2], p.aspect_mm[2])));
-    line("whole area (mm²)", &|row| format!("{:.0}", row.area_mm2), &|mesh| {
-        format!("{:.0}", printed::INITIAL_MESHES[mesh].area_mm2[0] * printed::TRIANGLES[mesh] as f64)
-    });
-    line("radius of a sphere of that area (mm)", &|row| format!("{:.1}", (row.area_mm2 / (4.0 * std::f64::consts::PI)).sqrt()), &|mesh| {
-        format!("{:.1}", printed::sphere_of_area_mm(mesh))
-    });
+    let sphere = |area_mm2: f64| format!("{:.1}", (area_mm2 / (4.0 * std::f64::consts::PI)).sqrt());
+    line("whole area (mm²)", &|row| format!("{:.0}", row.area_mm2), &|mesh| format!("{:.0}", printed::initial_area_mm2(mesh)));
+    line("radius of a sphere of that area (mm)", &|row| sphere(row.area_mm2), &|mesh| sphere(printed::initial_area_mm2(mesh)));
     table.to_string()
 }
 

@@ -42,6 +42,8 @@ pub struct Candidate {
 /// A model on a surface.
 #[derive(Debug, Clone)]
 pub struct Row {
+    /// Whether it started from the ellipsoid enlarged to the area of the printed mesh, outside the border, rather than from the bounding one.
+    pub from_outside: bool,
     /// What ran.
     pub candidate: Candidate,
     /// On which surface.
@@ -72,38 +74,58 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
         candidate.parameters.deform.spring_direction = direction;
         candidate
     };
-    vec![
+    let mut unsmoothed = of("Free, not smoothed", None, Model::Free, Solver::Euler, steps.explicit_s);
+    unsmoothed.parameters.deform.smoothing = false;
+    let mut list = vec![
         of("Plane (1)", plane_1, Model::Plane, Solver::ImplicitEuler, steps.plane_1_s),
         of("Plane (2)", plane_2, Model::Plane, Solver::ImplicitEuler, steps.plane_2_s),
         of("Spring-mass", spring_mass, Model::SpringMass, Solver::Euler, steps.explicit_s),
         restricted(SpringDirection::AcrossField, "Restricted spring-mass, across the field"),
         restricted(SpringDirection::AlongField, "Restricted spring-mass, along the field"),
         of("Free", free, Model::Free, Solver::Euler, steps.explicit_s),
-    ]
+        unsmoothed,
+    ];
+    let smoothed = |name, model, solver, time_step_s| {
+        let mut candidate = of(name, None, model, solver, time_step_s);
+        candidate.parameters.deform.smoothing = true;
+        candidate
+    };
+    list.push(smoothed("Plane (2), smoothed", Model::Plane, Solver::ImplicitEuler, steps.plane_2_s));
+    list.push(smoothed("Spring-mass, smoothed", Model::SpringMass, Solver::Euler, steps.explicit_s));
+    list
 }
 
-/// Runs every candidate on both surfaces of the paper's phantom.
+/// Runs every candidate on both surfaces of the paper's phantom, from the bounding ellipsoid and from outside; all have the same field.
 pub fn measure(steps: &Steps) -> Result<Vec<Row>, PaperError> {
-    measure_candidates(&candidates(steps))
-}
-
-/// Runs the given candidates on both surfaces of the paper's phantom; all have the same field.
-fn measure_candidates(candidates: &[Candidate]) -> Result<Vec<Row>, PaperError> {
     let experiment = Experiment::paper_phantom()?;
+    let candidates = candidates(steps);
     let Some(first) = candidates.first() else { return Ok(Vec::new()) };
     let flows = experiment.flows(&first.parameters)?;
     let mut rows = Vec::new();
-    for candidate in candidates {
-        for surface in Surface::BOTH {
-            let run = experiment.run(surface, flows.get(surface), &candidate.parameters, &mut |_| ())?;
-            rows.push(Row { candidate: candidate.clone(), surface, run });
+    for from_outside in [false, true] {
+        for candidate in &candidates {
+            for surface in Surface::BOTH {
+                let level = candidate.parameters.mesh.level;
+                let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+                let run = experiment.run_from(seed, surface, flows.get(surface), &candidate.parameters, &mut |_| ())?;
+                rows.push(Row { from_outside, candidate: candidate.clone(), surface, run });
+            }
         }
     }
     Ok(rows)
 }
 
-/// The table, and the same runs of the models with springs and planes with smoothing on.
+/// The two tables, by where the mesh starts.
 pub fn markdown(rows: &[Row]) -> String {
+    let of = |from_outside: bool| table(rows.iter().filter(|row| row.from_outside == from_outside));
+    format!(
+        "From the ellipsoid that bounds the border (§7.3):\n\n{}\nFrom that ellipsoid enlarged to the area that Table 2 prints for this mesh:\n\n{}",
+        of(false),
+        of(true)
+    )
+}
+
+fn table<'a>(rows: impl Iterator<Item = &'a Row>) -> Table {
     let mut table = Table::new([
         "model",
         "solver",
@@ -118,9 +140,9 @@ pub fn markdown(rows: &[Row]) -> String {
         "computed in (s)",
         "ended by",
     ]);
-    for Row { candidate, surface, run } in rows {
+    for Row { candidate, surface, run, .. } in rows {
         table.row([
-            if candidate.parameters.deform.smoothing { format!("{}, smoothed", candidate.name) } else { candidate.name.to_owned() },
+            candidate.name.to_owned(),
             solver_name(candidate.parameters.deform.solver).to_owned(),
             candidate.parameters.deform.time_step_s.to_string(),
             surface.name().to_owned(),
@@ -134,7 +156,7 @@ pub fn markdown(rows: &[Row]) -> String {
             stop_name(run.evolved.stop).to_owned(),
         ]);
     }
-    table.to_string()
+    table
 }
 
 /// The name of a solver as the paper has it.

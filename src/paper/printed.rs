@@ -133,7 +133,7 @@ pub fn relative_error(emptied_percent: f64, recovered_percent: f64) -> f64 {
     (100.0 - recovered_percent - emptied_percent).abs() / emptied_percent
 }
 
-/// Radius in mm of the sphere that has the total area of a printed initial mesh.
-pub fn sphere_of_area_mm(mesh: usize) -> f64 {
-    (INITIAL_MESHES[mesh].area_mm2[0] * TRIANGLES[mesh] as f64 / (4.0 * PI)).sqrt()
+/// Area in mm² of a printed initial mesh (0, 1, 2): its mean triangle times their number.
+pub fn initial_area_mm2(mesh: usize) -> f64 {
+    INITIAL_MESHES[mesh].area_mm2[0] * TRIANGLES[mesh] as f64
 }

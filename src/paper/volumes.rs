@@ -34,6 +34,8 @@ pub struct Thresholded {
 pub struct Row {
     /// Everything it ran with.
     pub parameters: Parameters,
+    /// Whether it started from the ellipsoid enlarged to the printed area, outside the border, rather than from the bounding one.
+    pub from_outside: bool,
     /// What came of it.
     pub run: Run,
     /// The recovered external volume in mm³.
@@ -53,7 +55,7 @@ pub struct Volumes {
     pub thresholded: [Thresholded; 2],
     /// Mean radius of the Canny border in the middle slice, in mm.
     pub border_radius_mm: f64,
-    /// The solvers, with the sub-voxel position first, then with particles left where they froze.
+    /// The solvers: from the bounding ellipsoid and from outside, with particles moved to the edge and left where they froze.
     pub rows: Vec<Row>,
 }
 
@@ -64,15 +66,17 @@ pub fn measure() -> Result<Volumes, PaperError> {
     let flow = experiment.flow(surface, &Parameters::paper())?;
     let counts = experiment.counts();
     let mut rows = Vec::new();
-    for subvoxel in [true, false] {
+    for (from_outside, subvoxel) in [(false, true), (false, false), (true, true), (true, false)] {
         for (solver, printed) in [Solver::Euler, Solver::Midpoint, Solver::Rk4].into_iter().zip(printed::SOLVERS) {
             let mut parameters = Parameters::paper();
             parameters.deform.solver = solver;
             parameters.deform.time_step_s = printed.time_step_s;
             parameters.deform.subvoxel = subvoxel;
-            let run = experiment.run(surface, &flow, &parameters, &mut |_| ())?;
+            let level = parameters.mesh.level;
+            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let run = experiment.run_from(seed, surface, &flow, &parameters, &mut |_| ())?;
             let volume_mm3 = run.evolved.mesh.signed_volume_mm3();
-            rows.push(Row { parameters, volume_mm3, same_level: threshold::level_of_volume(counts, volume_mm3), run });
+            rows.push(Row { parameters, from_outside, volume_mm3, same_level: threshold::level_of_volume(counts, volume_mm3), run });
         }
     }
     let gate = &experiment.simulation.truth.gates[0];
@@ -138,12 +142,14 @@ pub fn markdown(found: &Volumes) -> String {
     let mut solvers = Table::new([
         "solver",
         "Δt (s)",
+        "start",
         "particles end",
         "volume (mm³)",
         "off the filled voxels ≥ 20 % (%)",
         "paper (%)",
         "off the exact volume (%)",
         "same volume as the level (%)",
+        "frozen (%)",
         "steps",
         "computed in (s)",
         "paper (s)",
@@ -153,12 +159,14 @@ pub fn markdown(found: &Volumes) -> String {
         solvers.row([
             solver_name(deform.solver).to_owned(),
             deform.time_step_s.to_string(),
+            if row.from_outside { "outside" } else { "bounding" }.to_owned(),
             if deform.subvoxel { "on the edge" } else { "where they froze" }.to_owned(),
             grouped(row.volume_mm3),
             off(row.volume_mm3, found.thresholded[0].filled_mm3),
             format!("{}", paper.error_percent),
             off(row.volume_mm3, exact),
             format!("{:.0}", 100.0 * row.same_level),
+            format!("{:.1}", 100.0 * row.run.evolved.frozen),
             row.run.evolved.steps.to_string(),
             format!("{:.3}", row.run.seconds),
             paper.seconds.to_string(),

@@ -4,7 +4,7 @@ use super::{
     super::{PaperError, experiment::Experiment},
     EXTERNAL, INTERNAL,
     raster::Picture,
-    render::Canvas,
+    render::{Canvas, FINE_LEVELS},
     svg::{Anchor, FAINT, INK, Sheet, hex},
     view,
 };
@@ -26,7 +26,7 @@ pub(super) fn draw() -> Result<String, PaperError> {
     let centre = (apex + base) / 2.0;
     let colours = [(Surface::Epicardial, EXTERNAL), (Surface::Endocardial, INTERNAL)];
 
-    let mut canvas = Canvas::new(view(centre, 0.27), 620, 620);
+    let mut canvas = Canvas::new(view(centre, 0.205), 620, 620);
     // Towards the viewer, to the right: the quarter that is taken away.
     let cut = [DVec3::new(-1.0, 0.0, 0.0), DVec3::new(0.0, -1.0, 0.0)];
     for (surface, colour) in colours {
@@ -39,14 +39,14 @@ pub(super) fn draw() -> Result<String, PaperError> {
         }
     }
 
-    let mut sheet = Sheet::new(900.0, 400.0);
+    let mut sheet = Sheet::new(900.0, 415.0);
     sheet.text((450.0, 26.0), 16.0, Anchor::Middle, INK, "Border voxels of the paper's phantom");
-    sheet.picture((5.0, 50.0), (340.0, 340.0), &canvas.picture().png()?, false);
-    sheet.text((175.0, 58.0), 13.0, Anchor::Middle, FAINT, "apex below; a quarter of the outer border removed");
+    sheet.picture((5.0, 44.0), (340.0, 340.0), &canvas.picture(FINE_LEVELS).png()?, false);
+    sheet.text((175.0, 402.0), 12.0, Anchor::Middle, FAINT, "apex below; a quarter of the outer border removed");
     let counts = experiment.counts();
     let [_, rows, columns] = grid.shape;
     let slice_at = |part: f64| ((apex.z + part * (base.z - apex.z)) / grid.spacing_mm[0]).round() as usize;
-    for (index, (name, part)) in [("apical", 0.12), ("middle", 0.5), ("basal", 0.85)].into_iter().enumerate() {
+    for (index, (name, part)) in [("apical", 0.25), ("middle", 0.5), ("basal", 0.85)].into_iter().enumerate() {
         let slice = slice_at(part);
         let mut picture = Picture::grey(&counts.counts.index_axis(Axis(0), slice), 0.0, 1.5 * counts.maximum());
         for (surface, colour) in colours {

@@ -48,11 +48,11 @@ impl Chart {
         }
     }
 
-    /// A level across the chart, with its name at the right end.
+    /// A level across the chart, with its name at the left end.
     pub(super) fn level(&self, sheet: &mut Sheet, value: f64, name: &str) {
         let (from, to) = (self.place((self.across.0, value)), self.place((self.across.1, value)));
         sheet.line(&[from, to], INK, 1.4);
-        sheet.text((to.0 - 4.0, to.1 + 14.0), 11.0, Anchor::End, FAINT, name);
+        sheet.text((from.0 + 4.0, from.1 + 14.0), 11.0, Anchor::Start, FAINT, name);
     }
 
     /// A line; what lies outside the axes is left out.

@@ -3,7 +3,7 @@
 use super::{
     super::{PaperError, cycle},
     EXTERNAL, INTERNAL,
-    render::Canvas,
+    render::{Canvas, FINE_LEVELS},
     svg::{Anchor, FAINT, INK, Sheet},
     view,
 };
@@ -29,7 +29,7 @@ pub(super) fn draw() -> Result<String, PaperError> {
             let mut canvas = Canvas::new(camera, pixels, pixels);
             canvas.mesh(&found.fits.get(surface).mesh, |_| colour);
             let y = 56.0 + (side + 24.0) * row as f64;
-            sheet.picture((x, y), (side, side), &canvas.picture().png()?, false);
+            sheet.picture((x, y), (side, side), &canvas.picture(FINE_LEVELS).png()?, false);
             sheet.text((x + side / 2.0, y + side + 12.0), 12.0, Anchor::Middle, INK, &format!("{:.1} ml", found.volume_ml(surface)));
         }
     }

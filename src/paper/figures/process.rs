@@ -3,7 +3,7 @@
 use super::{
     super::{PaperError, experiment::Experiment},
     FROZEN, MOVING,
-    render::{Camera, Canvas},
+    render::{COARSE_LEVELS, Camera, Canvas},
     svg::{Anchor, FAINT, INK, Sheet, hex},
     view,
 };
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// The stages: the first step at which this part of the particles is frozen.
 const STAGES: [f64; 4] = [0.0, 0.2, 0.6, 0.9];
 /// Pixels along each side of a rendered panel, and on the sheet.
-const PANEL: (usize, f64) = (288, 144.0);
+const PANEL: (usize, f64) = (208, 144.0);
 
 /// The mesh at a step.
 struct Stage {
@@ -39,13 +39,13 @@ pub(super) fn draw() -> Result<String, PaperError> {
         let border = &experiment.border(surface).points;
         let (low, high) =
             stages[0].mesh.positions.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &at| (low.min(at), high.max(at)));
-        let camera = view((low + high) / 2.0, 1.12 * (high - low).max_element() / pixels as f64);
+        let camera = view((low + high) / 2.0, 1.28 * (high - low).max_element() / pixels as f64);
         let y = 66.0 + (side + 34.0) * row as f64;
         let name = if surface == Surface::Epicardial { "external" } else { "internal" };
         sheet.upright_text((20.0, y + side / 2.0), 13.0, name);
         for (column, stage) in stages.iter().enumerate() {
             let x = 30.0 + side * column as f64;
-            sheet.picture((x, y), (side, side), &painted(stage, camera).picture().png()?, false);
+            sheet.picture((x, y), (side, side), &painted(stage, camera).picture(COARSE_LEVELS).png()?, false);
             let seconds = stage.steps as f64 * parameters.deform.time_step_s;
             let share = 100.0 * stage.frozen.iter().filter(|&&frozen| frozen).count() as f64 / stage.frozen.len() as f64;
             let caption =
@@ -58,7 +58,7 @@ pub(super) fn draw() -> Result<String, PaperError> {
                 canvas.cuboid(experiment.grid().position_mm(point.voxel), DVec3::splat(0.8), [0.05; 3]);
             }
             let x = 30.0 + side * stages.len() as f64;
-            sheet.picture((x, y), (side, side), &canvas.picture().png()?, false);
+            sheet.picture((x, y), (side, side), &canvas.picture(COARSE_LEVELS).png()?, false);
             sheet.text((x + side / 2.0, y + side + 14.0), 12.0, Anchor::Middle, FAINT, "with the border voxels");
         }
     }

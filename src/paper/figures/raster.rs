@@ -131,7 +131,7 @@ mod tests {
         picture.set(2, 1, [1.0; 3]);
         let part = picture.cut((2, 1), (9, 2)).enlarged(3);
         assert_eq!((part.width, part.height), (9, 6));
-        let white = part.rgb.iter().filter(|&&value| value == 255).count();
+        let white = part.rgb.iter().map(|&value| usize::from(value == 255)).sum::<usize>();
         assert_eq!(white, 27);
         assert_eq!(part.rgb[..9], [255; 9]);
     }

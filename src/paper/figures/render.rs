@@ -46,9 +46,11 @@ const SAMPLES: usize = 3;
 /// The light comes from the upper left, over the viewer's shoulder: (right, up, towards the viewer), not normalised.
 const LIGHT: DVec3 = DVec3::new(-0.45, 0.65, 0.8);
 /// Part of the light that comes from everywhere.
-const AMBIENT: f64 = 0.35;
-/// Levels a colour channel of a finished picture; fewer compress better, and these are not seen.
-const LEVELS: f32 = 63.0;
+const AMBIENT: f64 = 0.45;
+/// Levels a colour channel of a finished picture; fewer compress better, and these are hardly seen.
+pub const FINE_LEVELS: u8 = 63;
+/// Levels for pictures with many edges, which hide the steps.
+pub const COARSE_LEVELS: u8 = 31;
 
 impl Canvas {
     /// An empty white picture of a size in pixels.
@@ -186,8 +188,9 @@ impl Canvas {
         }
     }
 
-    /// The finished picture: the mean of every pixel's samples.
-    pub fn picture(&self) -> Picture {
+    /// The finished picture: the mean of every pixel's samples, in so many levels a channel.
+    pub fn picture(&self, levels: u8) -> Picture {
+        let levels = f32::from(levels);
         let (width, height) = (self.width / SAMPLES, self.height / SAMPLES);
         let mut picture = Picture::of_colour(width, height, [1.0; 3]);
         for y in 0..height {
@@ -199,7 +202,7 @@ impl Canvas {
                         *sum += part;
                     }
                 }
-                picture.set(x, y, sum.map(|sum| (sum / (SAMPLES * SAMPLES) as f32 * LEVELS).round() / LEVELS));
+                picture.set(x, y, sum.map(|sum| (sum / (SAMPLES * SAMPLES) as f32 * levels).round() / levels));
             }
         }
         picture
@@ -228,7 +231,7 @@ mod tests {
     fn a_ball_fills_its_circle_and_is_lit_from_the_upper_left() {
         let mut canvas = Canvas::new(camera(), 100, 100);
         canvas.mesh(&Mesh::icosphere(4).map(|unit| DVec3::splat(50.0) + unit * 30.0), |_| [1.0; 3]);
-        let picture = canvas.picture();
+        let picture = canvas.picture(FINE_LEVELS);
         let painted = (0..100 * 100).filter(|at| pixel(&picture, at % 100, at / 100) != [255; 3]).count() as f64;
         // The rim's pixels count whole: half a pixel around the circle is too much.
         let exact = std::f64::consts::PI * 30.5_f64.powi(2);
@@ -244,7 +247,7 @@ mod tests {
             for (centre, colour) in order {
                 canvas.cuboid(centre, DVec3::splat(10.0), colour);
             }
-            let [r, _, b] = pixel(&canvas.picture(), 50, 50);
+            let [r, _, b] = pixel(&canvas.picture(FINE_LEVELS), 50, 50);
             assert!(r > 50 && b == 0, "{r} {b}");
         }
     }
