@@ -33,12 +33,12 @@ impl AxisLine {
 /// A ring with a dark centre in one slice.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ring {
-    z_mm: f64,
-    centre_mm: DVec2,
+    pub(super) z_mm: f64,
+    pub(super) centre_mm: DVec2,
     pub(super) radius_mm: f64,
     /// How much brighter the wall is than the mean of the cavity and what lies outside.
-    contrast: f64,
-    wall: f64,
+    pub(super) contrast: f64,
+    pub(super) wall: f64,
 }
 
 /// The best of the radii at a centre of a slice: the wall is the mean of the ring, so that a defect costs its part of

@@ -3,6 +3,7 @@
 //! Pure functions: no clock, files, network, environment or database. The same study and parameters give the same result to the last
 //! bit at any number of threads.
 
+mod arc;
 mod axis;
 pub mod block_matrix;
 pub mod borders;

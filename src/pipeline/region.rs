@@ -5,6 +5,7 @@
 
 use super::{
     PerSurface, PipelineError, Region,
+    arc::recentred,
     axis::{ANGLES, AxisLine, BEYOND_WALL_MM, at, best_centre, directions, fit_axis, follow_rings, middle_mm, significant},
     canny::smooth_known,
     ends::{Direction, Ends, apices, direction, median, wall_ends},
@@ -197,9 +198,15 @@ pub fn locate(study: &Study, marks: &RegionMarks) -> Result<Location, PipelineEr
     };
     let rings = follow_rings(&grid, &smooth, start, marks.centre_mm.is_some());
     let rings = significant(&grid, rings)?;
-    let axis = if marks.centre_mm.is_some() { AxisLine { at_mm: start, slope: DVec2::ZERO } } else { fit_axis(&rings) };
     let mut radii: Vec<f64> = rings.iter().map(|ring| ring.radius_mm).collect();
-    let mid_wall_mm = median(&mut radii);
+    let mut mid_wall_mm = median(&mut radii);
+    let mut axis = if marks.centre_mm.is_some() { AxisLine { at_mm: start, slope: DVec2::ZERO } } else { fit_axis(&rings) };
+    if let Some((of_arcs, radius_mm)) = recentred(&grid, &smooth, &rings, axis, mid_wall_mm) {
+        mid_wall_mm = radius_mm;
+        if marks.centre_mm.is_none() {
+            axis = of_arcs;
+        }
+    }
     let dz = grid.spacing_mm[0];
     let middle = middle_mm(&rings);
     let mut location = Location {

@@ -28,6 +28,10 @@ const BAND_PIXELS: f64 = 2.0;
 /// How far a circumference may differ from the median of its neighbours', as part of it: a ventricle narrows by less within 10 mm.
 const NEIGHBOURS_AGREE: f64 = 0.3;
 
+/// Cosine of the greatest angle between the gradient and the direction from the axis: 45°. Where the wall ends at a defect, its border turns from
+/// one surface to the other; each half of that turn belongs to its surface's side of the gap, not to its ring.
+const ACROSS: f64 = std::f64::consts::FRAC_1_SQRT_2;
+
 /// How far around, in sectors and in slices, a point of the border is compared with.
 const AROUND: usize = 3;
 /// How far a point may lie from the median of its surroundings, as part of that, and at least this many pixels.
@@ -148,12 +152,19 @@ pub(super) fn rings(gradient: &Gradient, extent: &Extent, parameters: &Parameter
         };
         let Some(radius_mm) = circumference(points, pixel_mm, limits) else { continue };
         let band = band_mm(radius_mm, pixel_mm);
-        let near = points.iter().filter(|(_, polar)| (polar.radius_mm - radius_mm).abs() <= band);
+        let near =
+            points.iter().filter(|(point, polar)| (polar.radius_mm - radius_mm).abs() <= band && runs_around(extent, point));
         rings.points.extend(near.map(|(point, _)| *point));
     }
     rings.reject_outliers(extent, pixel_mm);
     rings.trim_apex(extent);
     rings
+}
+
+/// Whether a border runs around the axis rather than towards it, as at the sides of a gap in the wall.
+fn runs_around(extent: &Extent, point: &EdgePoint) -> bool {
+    let out = extent.from_axis_mm(point.position_mm).normalize_or_zero();
+    out.dot(point.uphill.truncate().normalize_or_zero()).abs() >= ACROSS
 }
 
 /// Median radius of the slices within 10 mm.
