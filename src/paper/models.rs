@@ -37,6 +37,8 @@ pub struct Candidate {
     pub printed_percent: Option<f64>,
     /// Everything it runs with.
     pub parameters: Parameters,
+    /// Whether it only shows what smoothing does, from the bounding ellipsoid.
+    pub aside: bool,
 }
 
 /// A model on a surface.
@@ -66,7 +68,7 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
         parameters.deform.smoothing = model == Model::Free;
         // A particle of the explicit runs needs about 4000 steps of .0005 s from the ellipsoid to the border.
         parameters.deform.max_steps = 20_000;
-        Candidate { name, printed_percent, parameters }
+        Candidate { name, printed_percent, parameters, aside: false }
     };
     let [plane_1, plane_2, spring_mass, free] = printed::WITHIN_ONE_VOXEL_PERCENT.map(Some);
     let restricted = |direction, name| {
@@ -76,6 +78,7 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
     };
     let mut unsmoothed = of("Free, not smoothed", None, Model::Free, Solver::Euler, steps.explicit_s);
     unsmoothed.parameters.deform.smoothing = false;
+    unsmoothed.aside = true;
     let mut list = vec![
         of("Plane (1)", plane_1, Model::Plane, Solver::ImplicitEuler, steps.plane_1_s),
         of("Plane (2)", plane_2, Model::Plane, Solver::ImplicitEuler, steps.plane_2_s),
@@ -88,6 +91,7 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
     let smoothed = |name, model, solver, time_step_s| {
         let mut candidate = of(name, None, model, solver, time_step_s);
         candidate.parameters.deform.smoothing = true;
+        candidate.aside = true;
         candidate
     };
     list.push(smoothed("Plane (2), smoothed", Model::Plane, Solver::ImplicitEuler, steps.plane_2_s));
@@ -95,21 +99,27 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
     list
 }
 
-/// Runs every candidate on both surfaces of the paper's phantom, from the bounding ellipsoid and from outside; all have the same field.
+/// Runs every candidate on both surfaces of the paper's phantom, from the bounding ellipsoid and from outside.
 pub fn measure(steps: &Steps) -> Result<Vec<Row>, PaperError> {
-    let experiment = Experiment::paper_phantom()?;
     let candidates = candidates(steps);
+    let columns: Vec<Candidate> = candidates.iter().filter(|candidate| !candidate.aside).cloned().collect();
+    let mut rows = measure_from(false, &candidates)?;
+    rows.extend(measure_from(true, &columns)?);
+    Ok(rows)
+}
+
+/// Runs candidates on both surfaces of the paper's phantom; all have the first one's field.
+pub fn measure_from(from_outside: bool, candidates: &[Candidate]) -> Result<Vec<Row>, PaperError> {
+    let experiment = Experiment::paper_phantom()?;
     let Some(first) = candidates.first() else { return Ok(Vec::new()) };
     let flows = experiment.flows(&first.parameters)?;
     let mut rows = Vec::new();
-    for from_outside in [false, true] {
-        for candidate in &candidates {
-            for surface in Surface::BOTH {
-                let level = candidate.parameters.mesh.level;
-                let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
-                let run = experiment.run_from(seed, surface, flows.get(surface), &candidate.parameters, &mut |_| ())?;
-                rows.push(Row { from_outside, candidate: candidate.clone(), surface, run });
-            }
+    for candidate in candidates {
+        for surface in Surface::BOTH {
+            let level = candidate.parameters.mesh.level;
+            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let run = experiment.run_from(seed, surface, flows.get(surface), &candidate.parameters, &mut |_| ())?;
+            rows.push(Row { from_outside, candidate: candidate.clone(), surface, run });
         }
     }
     Ok(rows)

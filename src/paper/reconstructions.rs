@@ -14,26 +14,39 @@ use crate::pipeline::{Surface, parameters::Parameters};
 pub struct Reconstructed {
     /// Which surface.
     pub surface: Surface,
-    /// Whether smoothing was on.
-    pub smoothing: bool,
+    /// How it was reached.
+    pub way: Way,
     /// Its triangles.
     pub row: Row,
     /// Triangles that face inwards.
     pub inverted: usize,
 }
 
-/// The free model on both surfaces of the paper's phantom at the three levels, with the parameters of §7.5, smoothed and not.
+/// How a mesh is reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Way {
+    /// Whether it started from the ellipsoid enlarged to the area of the printed mesh, and its particles stayed where they froze (see Table 4),
+    /// instead of from the bounding one to the edge.
+    pub from_outside: bool,
+    /// Whether smoothing was on.
+    pub smoothing: bool,
+}
+
+/// The free model on both surfaces of the paper's phantom at the three levels, with the parameters of §7.5.
 pub fn measure() -> Result<Vec<Reconstructed>, PaperError> {
     let experiment = Experiment::paper_phantom()?;
     let flows = experiment.flows(&Parameters::paper())?;
     let mut found = Vec::new();
-    for (smoothing, surface) in [true, false].into_iter().flat_map(|smoothing| Surface::BOTH.map(|surface| (smoothing, surface))) {
-        for level in LEVELS {
+    for (from_outside, smoothing) in [(false, true), (false, false), (true, true), (true, false)] {
+        for (surface, level) in Surface::BOTH.into_iter().flat_map(|surface| LEVELS.map(|level| (surface, level))) {
             let mut parameters = Parameters::paper();
             parameters.mesh.level = level;
             parameters.deform.smoothing = smoothing;
-            let mesh = experiment.run(surface, flows.get(surface), &parameters, &mut |_| ())?.evolved.mesh;
-            found.push(Reconstructed { surface, smoothing, row: Row::of(&mesh), inverted: mesh.inverted_triangles(mesh.centroid()) });
+            parameters.deform.subvoxel = !from_outside;
+            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let mesh = experiment.run_from(seed, surface, flows.get(surface), &parameters, &mut |_| ())?.evolved.mesh;
+            let inverted = mesh.inverted_triangles(mesh.centroid());
+            found.push(Reconstructed { surface, way: Way { from_outside, smoothing }, row: Row::of(&mesh), inverted });
         }
     }
     Ok(found)
@@ -41,15 +54,24 @@ pub fn measure() -> Result<Vec<Reconstructed>, PaperError> {
 
 /// The table.
 pub fn markdown(found: &[Reconstructed]) -> String {
-    let mut table = Table::new(["mesh", "mean (mm² / mm)", "largest", "smallest", "inverted triangles"]);
+    let mut table = Table::new(["mesh", "mean (mm² / mm)", "largest", "smallest", "whole area (mm²)", "inverted triangles"]);
     for (mesh, paper) in printed::RECONSTRUCTIONS.iter().enumerate() {
         let pair = |which: usize| format!("{} / {}", paper.area_mm2[which], paper.aspect_mm[which]);
-        table.row([format!("{}, **paper**", mesh + 1), pair(0), pair(1), pair(2), "—".to_owned()]);
+        let area = format!("{:.0}", paper.area_mm2[0] * printed::TRIANGLES[mesh] as f64);
+        table.row([format!("{}, **paper**", mesh + 1), pair(0), pair(1), pair(2), area, "—".to_owned()]);
         for one in found.iter().filter(|one| one.row.triangles == printed::TRIANGLES[mesh]) {
-            let smoothed = if one.smoothing { "" } else { ", not smoothed" };
+            let Way { from_outside, smoothing } = one.way;
+            let way = if from_outside { ", from outside, where they froze" } else { "" };
+            let smoothed = if smoothing { "" } else { ", not smoothed" };
             let smallest = format!("{:.4} / {:.4}", one.row.quality.area_mm2[2], one.row.quality.aspect_mm[2]);
-            let (mean, largest) = (measures(&one.row.quality, 0), measures(&one.row.quality, 1));
-            table.row([format!("{}, {}{smoothed}", mesh + 1, one.surface.name()), mean, largest, smallest, one.inverted.to_string()]);
+            table.row([
+                format!("{}, {}{way}{smoothed}", mesh + 1, one.surface.name()),
+                measures(&one.row.quality, 0),
+                measures(&one.row.quality, 1),
+                smallest,
+                format!("{:.0}", one.row.area_mm2),
+                one.inverted.to_string(),
+            ]);
         }
     }
     table.to_string()

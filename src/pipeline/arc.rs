@@ -30,8 +30,10 @@ pub(super) fn recentred(grid: &Grid, smooth: &Array3<f32>, rings: &[Ring], axis:
     let mut found = None;
     let (mut axis, mut mid_wall_mm) = (axis, mid_wall_mm);
     for _ in 0..ROUNDS {
-        let arcs: Vec<(&Ring, Vec<Option<DVec2>>)> =
-            rings.iter().map(|ring| (ring, arc(grid, smooth, axis.at(ring.z_mm), ring.z_mm, mid_wall_mm + BEYOND_WALL_MM, background))).collect();
+        let arcs: Vec<(&Ring, Vec<Option<DVec2>>)> = rings
+            .iter()
+            .map(|ring| (ring, arc(grid, smooth, axis.at(ring.z_mm), ring.z_mm, mid_wall_mm + BEYOND_WALL_MM, background)))
+            .collect();
         let gapped = arcs.iter().filter(|(_, arc)| largest_gap(arc) >= LEAST_GAP).count();
         if found.is_none() && 2 * gapped < rings.len() {
             return None;

@@ -152,8 +152,7 @@ pub(super) fn rings(gradient: &Gradient, extent: &Extent, parameters: &Parameter
         };
         let Some(radius_mm) = circumference(points, pixel_mm, limits) else { continue };
         let band = band_mm(radius_mm, pixel_mm);
-        let near =
-            points.iter().filter(|(point, polar)| (polar.radius_mm - radius_mm).abs() <= band && runs_around(extent, point));
+        let near = points.iter().filter(|(point, polar)| (polar.radius_mm - radius_mm).abs() <= band && runs_around(extent, point));
         rings.points.extend(near.map(|(point, _)| *point));
     }
     rings.reject_outliers(extent, pixel_mm);
