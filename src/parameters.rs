@@ -155,7 +155,7 @@ pub enum Seed {
 #[serde(deny_unknown_fields)]
 pub struct Deform {
     /// Internal forces: `free` has none and keeps the mesh whole by smoothing; `spring_mass` joins particles by springs;
-    /// `restricted_spring_mass` lets the springs act only normal to the field; `plane` resists stretch, shear and bend of triangles.
+    /// `restricted_spring_mass` lets the springs act only along the field; `plane` resists stretch, shear and bend of triangles.
     #[schema(inline, default = "free")]
     pub model: Option<Model>,
     /// Time integration: explicit `euler`, `midpoint` and `rk4`, or `implicit_euler`. Left out it is `rk4`, and `implicit_euler` for the model
@@ -180,8 +180,8 @@ pub struct Deform {
     /// Bend between triangles. Only with the model `plane`.
     #[schema(inline)]
     pub bend: Option<Bend>,
-    /// The part of the spring force that acts: normal to the field or along it. Only with the model `restricted_spring_mass`.
-    #[schema(inline, default = "across_field")]
+    /// The part of the spring force that acts: along the field or across it. Only with the model `restricted_spring_mass`.
+    #[schema(inline, default = "along_field")]
     pub spring_direction: Option<SpringDirection>,
     /// Whether the mesh is smoothed while it moves and at its end.
     #[schema(default = true)]
@@ -192,8 +192,8 @@ pub struct Deform {
     /// Whether a stopped particle is moved to the border at sub-voxel precision; `false` leaves it where it stopped, as the paper does.
     #[schema(default = true)]
     pub subvoxel: Option<bool>,
-    /// The evolution ends when the mean places of the particles that move shift by less than this from one second to the next, in voxels.
-    #[schema(minimum = 0.0, maximum = 1.0, default = 0.02)]
+    /// The evolution ends when the particles that still move come nearer to the border by less than this a second on average, in voxels.
+    #[schema(minimum = 0.0, maximum = 1.0, default = 0.05)]
     pub rest_voxels: Option<f64>,
     /// Steps after which the evolution ends whatever still moves.
     #[schema(minimum = 1, maximum = 20_000, default = 2000)]
@@ -235,10 +235,10 @@ pub enum Solver {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SpringDirection {
-    /// Normal to the field.
-    AcrossField,
     /// Along the field.
     AlongField,
+    /// Across the field.
+    AcrossField,
 }
 
 /// Stretch.
@@ -375,7 +375,7 @@ mod tests {
             "deform": {
                 "model": "plane", "solver": "midpoint", "time_step_s": 0.05, "mass": 2.0, "damping_percent": 2.0,
                 "stretch": {"k": 3.0, "kd": 0.3}, "shear": {"k": 4.0, "kd": 0.4}, "bend": {"k": 5.0, "kd": 0.5},
-                "spring_direction": "across_field", "smoothing": false, "freezing": false, "subvoxel": false, "rest_voxels": 0.1, "max_steps": 100, "record_distances": true,
+                "spring_direction": "along_field", "smoothing": false, "freezing": false, "subvoxel": false, "rest_voxels": 0.1, "max_steps": 100, "record_distances": true,
             },
         });
         assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
@@ -422,7 +422,7 @@ mod tests {
             (json!({"stretch": {"k": 20}}), "/deform/stretch"),
             (json!({"model": "spring_mass", "bend": {"kd": 2}}), "/deform/bend"),
             (json!({"model": "restricted_spring_mass", "shear": {"k": 2}}), "/deform/shear"),
-            (json!({"model": "plane", "spring_direction": "along_field"}), "/deform/spring_direction"),
+            (json!({"model": "plane", "spring_direction": "across_field"}), "/deform/spring_direction"),
         ] {
             assert_eq!(refused(&json!({"deform": deform.clone()})), [("invalid_parameter", pointer.to_owned())], "{deform}");
         }

@@ -142,32 +142,42 @@ pub fn sample_scalar(grid: &Grid, values: &Array3<f32>, point_mm: DVec3) -> f64 
     Cell::at(grid, point_mm).interpolate(values)
 }
 
-/// The eight voxels around a point and where the point lies among them.
+/// The eight voxels around a point, as places in memory order, and where the point lies among them.
 struct Cell {
-    low: [usize; 3],
-    high: [usize; 3],
+    low: usize,
+    step: [usize; 3],
     fraction: [f64; 3],
 }
 
 impl Cell {
     fn at(grid: &Grid, point_mm: DVec3) -> Self {
-        let mut cell = Self { low: [0; 3], high: [0; 3], fraction: [0.0; 3] };
+        let [_, ny, nx] = grid.shape;
+        let strides = [ny * nx, nx, 1];
+        let mut cell = Self { low: 0, step: [0; 3], fraction: [0.0; 3] };
         for (axis, index) in grid.fractional_index(point_mm).into_iter().enumerate() {
             let last = grid.shape[axis] - 1;
             let clamped = index.clamp(0.0, last as f64);
-            cell.low[axis] = clamped.floor() as usize;
-            cell.high[axis] = (cell.low[axis] + 1).min(last);
-            cell.fraction[axis] = clamped - clamped.floor();
+            let floor = clamped.floor();
+            cell.low += floor as usize * strides[axis];
+            cell.step[axis] = if (floor as usize) < last { strides[axis] } else { 0 };
+            cell.fraction[axis] = clamped - floor;
         }
         cell
     }
 
     fn interpolate(&self, values: &Array3<f32>) -> f64 {
-        let ([z0, y0, x0], [z1, y1, x1], [fz, fy, fx]) = (self.low, self.high, self.fraction);
-        let value = |z: usize, y: usize, x: usize| f64::from(values[[z, y, x]]);
-        let along_x = |z: usize, y: usize| value(z, y, x0) * (1.0 - fx) + value(z, y, x1) * fx;
-        let along_y = |z: usize| along_x(z, y0) * (1.0 - fy) + along_x(z, y1) * fy;
-        along_y(z0) * (1.0 - fz) + along_y(z1) * fz
+        match values.as_slice() {
+            Some(flat) => self.between(|place| flat[place]),
+            // An array that is not in standard order; slow, and never met in the pipeline.
+            None => self.between(|place| values.iter().nth(place).copied().unwrap_or_default()),
+        }
+    }
+
+    fn between(&self, value: impl Fn(usize) -> f32) -> f64 {
+        let ([z, y, x], [fz, fy, fx]) = (self.step, self.fraction);
+        let along_x = |place: usize| f64::from(value(place)) * (1.0 - fx) + f64::from(value(place + x)) * fx;
+        let along_y = |place: usize| along_x(place) * (1.0 - fy) + along_x(place + y) * fy;
+        along_y(self.low) * (1.0 - fz) + along_y(self.low + z) * fz
     }
 }
 

@@ -12,13 +12,13 @@ use super::{
 };
 use crate::volume::Grid;
 use glam::DVec3;
-use std::collections::HashMap;
 
 /// The particles that the border holds.
 #[derive(Debug)]
 pub(super) struct Ice<'a> {
     grid: &'a Grid,
-    on_border: HashMap<[usize; 3], &'a BorderPoint>,
+    points: &'a [BorderPoint],
+    cells: Cells,
     /// Which particles are frozen.
     pub(super) frozen: Vec<bool>,
     count: usize,
@@ -27,8 +27,7 @@ pub(super) struct Ice<'a> {
 impl<'a> Ice<'a> {
     /// No particle frozen.
     pub(super) fn new(border: &'a Border, grid: &'a Grid, particles: usize) -> Self {
-        let on_border = border.points.iter().map(|point| (point.voxel, point)).collect();
-        Self { grid, on_border, frozen: vec![false; particles], count: 0 }
+        Self { grid, points: &border.points, cells: Cells::around(&border.points), frozen: vec![false; particles], count: 0 }
     }
 
     /// Whether every particle is frozen.
@@ -43,40 +42,91 @@ impl<'a> Ice<'a> {
 
     /// Freezes the particles that have reached the border, with `subvoxel` at its edge, else where they are.
     pub(super) fn freeze(&mut self, particles: &mut Particles, flow: &Flow, subvoxel: bool) {
-        for (vertex, frozen) in self.frozen.iter_mut().enumerate().filter(|(_, frozen)| !**frozen) {
+        for vertex in 0..self.frozen.len() {
+            if self.frozen[vertex] {
+                continue;
+            }
             let (position, velocity) = (&mut particles.positions[vertex], &mut particles.velocities[vertex]);
             let turned = || flow.direction(*position).dot(*velocity) < 0.0;
-            if let Some(point) = reached(self.grid, &self.on_border, *position, turned) {
+            if let Some(point) = self.reached(*position, turned) {
                 if subvoxel {
                     *position += point.normal * (point.position_mm - *position).dot(point.normal);
                 }
                 *velocity = DVec3::ZERO;
-                *frozen = true;
+                self.frozen[vertex] = true;
                 self.count += 1;
             }
         }
     }
+
+    /// The border point a particle has reached: that of its voxel, or, where the field has turned against it, the nearest one of the voxels
+    /// around. A border is joined over corners, and a particle may slip through between two of its voxels.
+    fn reached(&self, position: DVec3, turned: impl Fn() -> bool) -> Option<&'a BorderPoint> {
+        let voxel = self.grid.voxel_at(clamp_to(self.grid, position))?;
+        match self.cells.at(voxel)? {
+            Cell::On(point) => Some(&self.points[point]),
+            Cell::Beside if turned() => {
+                let around = neighbours(voxel, self.grid.shape, EdgeMode::Volume).filter_map(|voxel| match self.cells.at(voxel) {
+                    Some(Cell::On(point)) => Some(&self.points[point]),
+                    _ => None,
+                });
+                let distance = |point: &BorderPoint| point.position_mm.distance_squared(position);
+                around.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+            }
+            Cell::Beside => None,
+        }
+    }
 }
 
-/// The border point a particle has reached: that of its voxel, or, where the field has turned against it, the nearest one of the voxels
-/// around. A border is joined over corners, and a particle may slip through between two of its voxels.
-fn reached<'a>(
-    grid: &Grid,
-    on_border: &HashMap<[usize; 3], &'a BorderPoint>,
-    position: DVec3,
-    turned: impl Fn() -> bool,
-) -> Option<&'a BorderPoint> {
-    let voxel = grid.voxel_at(clamp_to(grid, position))?;
-    if let Some(point) = on_border.get(&voxel) {
-        return Some(point);
+/// The voxels of a border and those beside them, looked up in an array over their box: every moving particle asks at every step.
+#[derive(Debug)]
+struct Cells {
+    low: [usize; 3],
+    shape: [usize; 3],
+    kinds: Vec<Option<Cell>>,
+}
+
+/// A voxel on a border (with the place of its point in the list) or next to one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Cell {
+    On(usize),
+    Beside,
+}
+
+impl Cells {
+    fn around(points: &[BorderPoint]) -> Self {
+        let extreme = |axis: usize, pick: fn(usize, usize) -> usize| points.iter().map(|point| point.voxel[axis]).reduce(pick).unwrap_or(0);
+        let low: [usize; 3] = std::array::from_fn(|axis| extreme(axis, usize::min).saturating_sub(1));
+        let shape = std::array::from_fn(|axis| extreme(axis, usize::max) + 2 - low[axis]);
+        let mut cells = Self { low, shape, kinds: vec![None; shape.iter().product()] };
+        let whole = std::array::from_fn(|axis| low[axis] + shape[axis]);
+        for point in points {
+            for beside in neighbours(point.voxel, whole, EdgeMode::Volume) {
+                if let Some(offset) = cells.offset(beside) {
+                    cells.kinds[offset] = Some(Cell::Beside);
+                }
+            }
+        }
+        for (index, point) in points.iter().enumerate() {
+            if let Some(offset) = cells.offset(point.voxel) {
+                cells.kinds[offset] = Some(Cell::On(index));
+            }
+        }
+        cells
     }
-    let around = || neighbours(voxel, grid.shape, EdgeMode::Volume).filter_map(|voxel| on_border.get(&voxel).copied());
-    around().next()?;
-    if !turned() {
-        return None;
+
+    fn at(&self, voxel: [usize; 3]) -> Option<Cell> {
+        self.kinds[self.offset(voxel)?]
     }
-    let distance = |point: &BorderPoint| point.position_mm.distance_squared(position);
-    around().min_by(|a, b| distance(a).total_cmp(&distance(b)))
+
+    fn offset(&self, voxel: [usize; 3]) -> Option<usize> {
+        let mut offset = 0;
+        for (index, (low, count)) in voxel.into_iter().zip(self.low.into_iter().zip(self.shape)) {
+            let inside = index.checked_sub(low).filter(|inside| *inside < count)?;
+            offset = offset * count + inside;
+        }
+        Some(offset)
+    }
 }
 
 /// Particles may leave the grid by its first and last slice's outer faces where a ventricle is cut off.

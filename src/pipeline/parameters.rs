@@ -145,7 +145,7 @@ pub struct DeformParameters {
     pub freezing: bool,
     /// Whether a frozen particle is moved to the edge's sub-voxel position.
     pub subvoxel: bool,
-    /// The evolution ends when the moving particles' mean places shift by less than this from one second to the next, in voxels.
+    /// The evolution ends when the moving particles come nearer to the border by less than this a second on average, in voxels.
     pub rest_voxels: f64,
     /// Steps after which the evolution ends whatever still moves.
     pub max_steps: usize,
@@ -181,10 +181,10 @@ pub enum Model {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SpringDirection {
-    /// Normal to the field: springs space the particles and leave the way to the border to the field.
-    AcrossField,
-    /// Along the field.
+    /// Along the field, which is the normal of the border it comes from: springs even out how far neighbours have come.
     AlongField,
+    /// Across the field: springs space the particles and leave the way to the border to the field.
+    AcrossField,
 }
 
 /// The time integration.
@@ -234,11 +234,11 @@ impl Parameters {
                 stretch: Stiffness { k: 10.0, kd: 1.0 },
                 shear: Stiffness { k: 1.0, kd: 0.1 },
                 bend: Stiffness { k: 10.0, kd: 1.0 },
-                spring_direction: SpringDirection::AcrossField,
+                spring_direction: SpringDirection::AlongField,
                 smoothing: true,
                 freezing: true,
                 subvoxel: true,
-                rest_voxels: 0.02,
+                rest_voxels: 0.05,
                 max_steps: 2000,
                 record_distances: false,
             },
