@@ -95,7 +95,9 @@ fn the_free_model_is_first_and_within_a_voxel() {
 fn check_sheet(name: &str, svg: &str) {
     assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>\n"), "{name}");
     assert!(svg.len() < 300_000, "{name}: {} bytes", svg.len());
-    assert!(!svg.contains("NaN") && !svg.contains("inf"), "{name}");
+    // Without the pictures, in whose letters anything may occur.
+    let drawn: String = svg.split("base64,").map(|part| part.split_once('"').map_or(part, |(_, rest)| rest)).collect();
+    assert!(!drawn.contains("NaN") && !drawn.contains("inf"), "{name}");
     assert!(svg.matches("<text").count() >= 4, "{name}");
     let pictures: Vec<&str> = svg.split("base64,").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     for picture in &pictures {

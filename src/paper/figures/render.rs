@@ -229,14 +229,18 @@ mod tests {
 
     #[test]
     fn a_ball_fills_its_circle_and_is_lit_from_the_upper_left() {
-        let mut canvas = Canvas::new(camera(), 100, 100);
-        canvas.mesh(&Mesh::icosphere(4).map(|unit| DVec3::splat(50.0) + unit * 30.0), |_| [1.0; 3]);
-        let picture = canvas.picture(FINE_LEVELS);
-        let painted = (0..100 * 100).filter(|at| pixel(&picture, at % 100, at / 100) != [255; 3]).count() as f64;
-        // The rim's pixels count whole: half a pixel around the circle is too much.
-        let exact = std::f64::consts::PI * 30.5_f64.powi(2);
-        assert!((painted / exact - 1.0).abs() < 0.02, "{painted} of {exact}");
-        assert!(pixel(&picture, 40, 35)[0] > pixel(&picture, 65, 70)[0]);
+        let drawn = |colour: f32| {
+            let mut canvas = Canvas::new(camera(), 100, 100);
+            canvas.mesh(&Mesh::icosphere(4).map(|unit| DVec3::splat(50.0) + unit * 30.0), |_| [colour; 3]);
+            canvas.picture(FINE_LEVELS)
+        };
+        // A black ball on white: what is missing of the white is the part of a pixel that is covered.
+        let black = drawn(0.0);
+        let covered: f64 = (0..100 * 100).map(|at| 1.0 - f64::from(pixel(&black, at % 100, at / 100)[0]) / 255.0).sum();
+        let exact = std::f64::consts::PI * 30.0_f64.powi(2);
+        assert!((covered / exact - 1.0).abs() < 0.01, "{covered} of {exact}");
+        let white = drawn(1.0);
+        assert!(pixel(&white, 40, 35)[0] > pixel(&white, 65, 70)[0]);
     }
 
     #[test]
