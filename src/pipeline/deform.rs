@@ -145,10 +145,14 @@ pub fn bounding_ellipsoid<'a>(points: impl IntoIterator<Item = &'a BorderPoint>,
     Mesh::icosphere(level).map(|unit| (low + high) / 2.0 + unit * (high - low) / 2.0)
 }
 
-/// The position and velocity after a step that may be no longer than `longest_mm`.
+/// The position and velocity after a step that may be no longer than `longest_mm`. A particle thrown to infinity, by the bend of a triangle
+/// that has lost its area, stays where it was.
 fn limited(from: DVec3, next: &Particles, vertex: usize, longest_mm: f64, time_step_s: f64) -> (DVec3, DVec3) {
-    let way = (next.positions[vertex] - from).clamp_length_max(longest_mm);
-    (from + way, next.velocities[vertex].clamp_length_max(longest_mm / time_step_s))
+    let (way, velocity) = (next.positions[vertex] - from, next.velocities[vertex]);
+    if !way.is_finite() || !velocity.is_finite() {
+        return (from, DVec3::ZERO);
+    }
+    (from + way.clamp_length_max(longest_mm), velocity.clamp_length_max(longest_mm / time_step_s))
 }
 
 #[cfg(test)]
