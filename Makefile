@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test lint openapi
+.PHONY: help demo build test lint openapi tables
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -31,3 +31,6 @@ openapi: ## writes openapi/openapi.json from the routes
 	mkdir -p openapi
 	cargo run --quiet --locked -- openapi > openapi/openapi.json.new
 	mv openapi/openapi.json.new openapi/openapi.json
+
+tables: build ## redoes the paper's tables and figures into docs/paper.md and docs/paper/
+	@"$(CARGO_TARGET_DIR)/release/ventricle" tables --write docs/paper.md --figures docs/paper

@@ -12,6 +12,7 @@
 //! | [`pipeline`] | study → reconstruction, pure functions, one file a stage |
 //! | [`report`] | reconstruction → what people read |
 //! | [`export`] | reconstruction → what people look at |
+//! | [`paper`] | the tables and figures of the paper, redone |
 //! | [`parameters`] | parameters as a client writes them |
 //! | [`jobs`] | what is stored, queued and worked on |
 //! | [`http`] | the service |
@@ -23,6 +24,7 @@ pub mod http;
 pub mod intake;
 pub mod jobs;
 pub mod mesh;
+pub mod paper;
 pub mod parameters;
 pub mod phantom;
 pub mod pipeline;

@@ -23,6 +23,8 @@ enum Command {
     Reconstruct(commands::reconstruct::Args),
     /// Writes a simulated gated study with exactly known volumes.
     Phantom(commands::phantom::Args),
+    /// Redoes the tables and figures of the paper on simulated hearts.
+    Tables(commands::tables::Args),
     /// Prints the OpenAPI document.
     Openapi(commands::openapi::Args),
     /// Asks a running service whether it is ready; exit status 0 if so.
@@ -46,6 +48,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Demo(args) => commands::demo::run(args),
         Command::Reconstruct(args) => commands::reconstruct::run(args),
         Command::Phantom(args) => commands::phantom::run(args),
+        Command::Tables(args) => commands::tables::run(args),
         Command::Openapi(args) => commands::openapi::run(args),
         Command::Healthcheck(args) => commands::healthcheck::run(args),
     }

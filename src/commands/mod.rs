@@ -7,3 +7,4 @@ pub(crate) mod phantom;
 pub(crate) mod reconstruct;
 pub(crate) mod serve;
 mod table;
+pub(crate) mod tables;

@@ -264,7 +264,7 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &
         id: id.to_owned(),
         software: Software { name: env!("CARGO_PKG_NAME").to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
         study: study_summary(study),
-        function: function(&gates),
+        function: Function::of_cavity(&gates.iter().map(|gate| gate.endocardial_ml).collect::<Vec<_>>()),
         myocardium,
         region: reconstruction.region.into(),
         quality,
@@ -300,30 +300,32 @@ fn gate_report(number: usize, gate: &GateReconstruction, base_at_last_slice: boo
     }
 }
 
-/// EDV, ESV and what follows from them; `None` for fewer than two gates, or when no cavity has a volume.
-fn function(gates: &[GateReport]) -> Option<Function> {
-    let (first, others) = gates.split_first()?;
-    if others.is_empty() {
-        return None;
-    }
-    let (mut diastole, mut systole) = (first, first);
-    for gate in others {
-        if gate.endocardial_ml > diastole.endocardial_ml {
-            diastole = gate;
+impl Function {
+    /// EDV, ESV and what follows from them, from the cavity's volume in ml at every gate; `None` for fewer than two gates, or when no cavity
+    /// has a volume.
+    pub fn of_cavity(cavity_ml: &[f64]) -> Option<Self> {
+        if cavity_ml.len() < 2 {
+            return None;
         }
-        if gate.endocardial_ml < systole.endocardial_ml {
-            systole = gate;
+        let (mut diastole, mut systole) = (0, 0);
+        for (gate, &volume_ml) in cavity_ml.iter().enumerate() {
+            if volume_ml > cavity_ml[diastole] {
+                diastole = gate;
+            }
+            if volume_ml < cavity_ml[systole] {
+                systole = gate;
+            }
         }
+        let (edv_ml, esv_ml) = (cavity_ml[diastole], cavity_ml[systole]);
+        (edv_ml > 0.0).then(|| Self {
+            edv_ml,
+            esv_ml,
+            sv_ml: edv_ml - esv_ml,
+            ef_percent: 100.0 * (edv_ml - esv_ml) / edv_ml,
+            end_diastolic_gate: diastole + 1,
+            end_systolic_gate: systole + 1,
+        })
     }
-    let (edv_ml, esv_ml) = (diastole.endocardial_ml, systole.endocardial_ml);
-    (edv_ml > 0.0).then(|| Function {
-        edv_ml,
-        esv_ml,
-        sv_ml: edv_ml - esv_ml,
-        ef_percent: 100.0 * (edv_ml - esv_ml) / edv_ml,
-        end_diastolic_gate: diastole.gate,
-        end_systolic_gate: systole.gate,
-    })
 }
 
 fn myocardium(gates: &[GateReport]) -> Myocardium {

@@ -11,6 +11,7 @@ mod missing;
 mod models;
 mod openapi;
 mod operations;
+mod paper;
 mod phantom;
 mod pipeline;
 mod report;

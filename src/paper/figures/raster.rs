@@ -1,0 +1,138 @@
+//! Pictures of pixels as PNG.
+
+use super::super::PaperError;
+use ndarray::ArrayView2;
+
+/// An opaque picture, rows from the top, red, green and blue of 0-255 a pixel.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Picture {
+    /// Pixels a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `3 × width × height` values.
+    pub rgb: Vec<u8>,
+}
+
+impl Picture {
+    /// A picture of one colour.
+    pub fn of_colour(width: usize, height: usize, colour: [f32; 3]) -> Self {
+        let pixel = colour.map(byte);
+        Self { width, height, rgb: pixel.iter().copied().cycle().take(3 * width * height).collect() }
+    }
+
+    /// Values as grey levels: `black` and below black, `white` and above white.
+    pub fn grey(values: &ArrayView2<'_, f32>, black: f32, white: f32) -> Self {
+        let (height, width) = values.dim();
+        let level = |value: f32| byte((value - black) / (white - black));
+        Self { width, height, rgb: values.iter().flat_map(|&value| [level(value); 3]).collect() }
+    }
+
+    /// Colours a pixel.
+    pub fn set(&mut self, x: usize, y: usize, colour: [f32; 3]) {
+        if x < self.width && y < self.height {
+            let at = 3 * (y * self.width + x);
+            self.rgb[at..at + 3].copy_from_slice(&colour.map(byte));
+        }
+    }
+
+    /// The rectangle of pixels from a corner, as far as the picture goes.
+    #[must_use]
+    pub fn cut(&self, (left, top): (usize, usize), (width, height): (usize, usize)) -> Self {
+        let (left, top) = (left.min(self.width), top.min(self.height));
+        let (width, height) = (width.min(self.width - left), height.min(self.height - top));
+        let row = |y: usize| &self.rgb[3 * ((top + y) * self.width + left)..][..3 * width];
+        Self { width, height, rgb: (0..height).flat_map(row).copied().collect() }
+    }
+
+    /// Every pixel as a square of `factor` pixels, so that viewers which smooth small pictures leave its edges.
+    #[must_use]
+    pub fn enlarged(&self, factor: usize) -> Self {
+        let (width, height) = (self.width * factor, self.height * factor);
+        let pixel = |index: usize| {
+            let (x, y) = (index % width / factor, index / width / factor);
+            let at = 3 * (y * self.width + x);
+            [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+        };
+        Self { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
+    }
+
+    /// The picture as a PNG file, of 256 colours where it has no more.
+    ///
+    /// Errors: the encoder's.
+    pub fn png(&self) -> Result<Vec<u8>, PaperError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::High);
+        let indexed = self.indexed();
+        let data = if let Some((palette, indices)) = indexed {
+            encoder.set_color(png::ColorType::Indexed);
+            encoder.set_palette(palette);
+            indices
+        } else {
+            encoder.set_color(png::ColorType::Rgb);
+            self.rgb.clone()
+        };
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&data)?;
+        writer.finish()?;
+        Ok(bytes)
+    }
+
+    /// A palette of at most 256 colours and an index a pixel.
+    fn indexed(&self) -> Option<(Vec<u8>, Vec<u8>)> {
+        let mut colours: Vec<[u8; 3]> = self.pixels().collect();
+        colours.sort_unstable();
+        colours.dedup();
+        if colours.len() > 256 {
+            return None;
+        }
+        let indices = self.pixels().map(|pixel| colours.binary_search(&pixel).unwrap_or(0) as u8).collect();
+        Some((colours.into_iter().flatten().collect(), indices))
+    }
+
+    fn pixels(&self) -> impl Iterator<Item = [u8; 3]> + '_ {
+        self.rgb.chunks_exact(3).map(|pixel| [pixel[0], pixel[1], pixel[2]])
+    }
+}
+
+/// A part of 1 as 0-255.
+fn byte(part: f32) -> u8 {
+    (part.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn decoded(bytes: &[u8]) -> (u32, u32, Vec<u8>) {
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().unwrap();
+        let mut data = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut data).unwrap();
+        (info.width, info.height, data)
+    }
+
+    #[test]
+    fn a_picture_survives_the_file_with_few_and_with_many_colours() {
+        let mut few = Picture::of_colour(20, 10, [1.0; 3]);
+        few.set(3, 4, [1.0, 0.0, 0.5]);
+        let many = Picture { width: 40, height: 20, rgb: (0..2400_u32).map(|i| (i * 37 % 251) as u8).collect() };
+        for picture in [few, many] {
+            assert_eq!(decoded(&picture.png().unwrap()), (picture.width as u32, picture.height as u32, picture.rgb.clone()));
+        }
+    }
+
+    #[test]
+    fn cutting_and_enlarging_keep_the_pixels() {
+        let mut picture = Picture::of_colour(5, 4, [0.0; 3]);
+        picture.set(2, 1, [1.0; 3]);
+        let part = picture.cut((2, 1), (9, 2)).enlarged(3);
+        assert_eq!((part.width, part.height), (9, 6));
+        let white = part.rgb.iter().map(|&value| usize::from(value == 255)).sum::<usize>();
+        assert_eq!(white, 27);
+        assert_eq!(part.rgb[..9], [255; 9]);
+    }
+}
