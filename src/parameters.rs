@@ -136,6 +136,10 @@ pub struct Mesh {
     /// result of the gate before.
     #[schema(inline, default = "own_ellipsoid")]
     pub seed: Option<Seed>,
+    /// Size of the ellipsoid that the mesh starts from, over that of the one that bounds the border. The paper's text says 1, its printed
+    /// meshes have 1.5: they start outside the heart. Not with the seed `previous_gate`, but for the first gate.
+    #[schema(minimum = 0.5, maximum = 3.0, default = 1.0)]
+    pub seed_scale: Option<f64>,
 }
 
 /// Where the mesh of a gate starts.
@@ -371,7 +375,7 @@ mod tests {
             "region": {"centre_mm": [90.0, 95.5], "radius_mm": 60.0, "first_slice": 3, "last_slice": 20},
             "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume", "threshold": 0.5, "close_ends": false},
             "gvf": {"mu": 5.0, "tolerance": 1e-5},
-            "mesh": {"level": 4, "seed": "common_ellipsoid"},
+            "mesh": {"level": 4, "seed": "common_ellipsoid", "seed_scale": 1.5},
             "deform": {
                 "model": "plane", "solver": "midpoint", "time_step_s": 0.05, "mass": 2.0, "damping_percent": 2.0,
                 "stretch": {"k": 3.0, "kd": 0.3}, "shear": {"k": 4.0, "kd": 0.4}, "bend": {"k": 5.0, "kd": 0.5},

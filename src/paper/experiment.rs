@@ -12,7 +12,7 @@ use crate::{
         gvf::{self, Flow},
         measure,
         monitor::Silent,
-        parameters::{Parameters, RegionMarks},
+        parameters::{MeshParameters, Parameters, RegionMarks},
         region::{self, Extent},
     },
     volume::{Grid, Volume},
@@ -108,17 +108,21 @@ impl Experiment {
 
     /// The initial mesh of a surface (§7.3).
     pub fn seed(&self, surface: Surface, level: u32) -> Mesh {
-        deform::bounding_ellipsoid(&self.border(surface).points, level)
+        self.seed_scaled(surface, level, 1.0)
     }
 
     /// The initial mesh enlarged about its middle until its area is that of the printed mesh of as many triangles (Table 2): the paper's
     /// meshes start outside the data.
     pub fn seed_of_printed_area(&self, surface: Surface, level: u32) -> Mesh {
         let seed = self.seed(surface, level);
-        let middle = seed.centroid();
         let printed = printed::TRIANGLES.iter().position(|&triangles| triangles == seed.triangles.len());
-        let factor = printed.map_or(1.0, |mesh| (printed::initial_area_mm2(mesh) / seed.area_mm2()).sqrt());
-        seed.map(|position| middle + (position - middle) * factor)
+        let scale = printed.map_or(1.0, |mesh| (printed::initial_area_mm2(mesh) / seed.area_mm2()).sqrt());
+        self.seed_scaled(surface, level, scale)
+    }
+
+    fn seed_scaled(&self, surface: Surface, level: u32, seed_scale: f64) -> Mesh {
+        let mesh = MeshParameters { level, seed_scale, ..Parameters::paper().mesh };
+        deform::ellipsoid(&self.border(surface).points, &mesh)
     }
 
     /// Lets the bounding ellipsoid of a surface evolve in a field; `watch` sees the seed and every step.

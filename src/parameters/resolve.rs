@@ -33,6 +33,7 @@ pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
         Seed::CommonEllipsoid => chosen::Seed::CommonEllipsoid,
         Seed::PreviousGate => chosen::Seed::PreviousGate,
     });
+    out.mesh.seed_scale = mesh.seed_scale.unwrap_or(out.mesh.seed_scale);
     deform(&mut out.deform, &request.deform.unwrap_or_default())?;
     if let (Some(first), Some(last)) = (out.region.first_slice, out.region.last_slice)
         && first > last

@@ -10,7 +10,7 @@ use super::{
     models::Internal,
     monitor,
     monitor::Monitor,
-    parameters::Parameters,
+    parameters::{MeshParameters, Parameters},
     rest::{Rest, Stop},
     smooth,
     trace::{Recorder, Trace},
@@ -137,12 +137,12 @@ fn smooth_whole(mesh: &mut Mesh, joined: &[Vec<u32>], passes: usize) {
     }
 }
 
-/// The sphere "scaled and translated" to the bounding box of the data (§7.3).
-pub fn bounding_ellipsoid<'a>(points: impl IntoIterator<Item = &'a BorderPoint>, level: u32) -> Mesh {
+/// The sphere "scaled and translated" to the bounding box of the data (§7.3), enlarged by the seed's scale.
+pub fn ellipsoid<'a>(points: impl IntoIterator<Item = &'a BorderPoint>, mesh: &MeshParameters) -> Mesh {
     let (low, high) = points
         .into_iter()
         .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), point| (low.min(point.position_mm), high.max(point.position_mm)));
-    Mesh::icosphere(level).map(|unit| (low + high) / 2.0 + unit * (high - low) / 2.0)
+    Mesh::icosphere(mesh.level).map(|unit| (low + high) / 2.0 + unit * (high - low) / 2.0 * mesh.seed_scale)
 }
 
 /// The position and velocity after a step that may be no longer than `longest_mm`. A particle thrown to infinity, by the bend of a triangle
@@ -165,7 +165,7 @@ mod tests {
     const RADIUS_MM: f64 = 25.0;
 
     fn evolve_on(border: &Border, flow: &Flow, parameters: &Parameters) -> Evolved {
-        let seed = bounding_ellipsoid(&border.points, parameters.mesh.level);
+        let seed = ellipsoid(&border.points, &parameters.mesh);
         evolve(seed, &Setting { grid: &GRID, border, flow, parameters, monitor: &Silent }, &mut |_| ()).unwrap()
     }
 

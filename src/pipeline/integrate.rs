@@ -43,7 +43,7 @@ impl Dynamics<'_> {
         let mut forces = if self.internal.is_empty() {
             vec![DVec3::ZERO; field.len()]
         } else {
-            self.internal.forces(at, |particle| field[particle].normalize_or_zero())
+            self.internal.forces(at, self.fixed, |particle| field[particle].normalize_or_zero())
         };
         for (particle, force) in forces.iter_mut().enumerate() {
             *force += field[particle] - at.velocities[particle] * (self.drag_per_s * self.mass);
@@ -101,7 +101,7 @@ fn implicit_euler(from: &Particles, h: f64, dynamics: &Dynamics<'_>) -> Particle
     let forces = dynamics.forces(from);
     let inertia = dynamics.mass * (1.0 + h * dynamics.drag_per_s);
     for curvature in [Curvature::Whole, Curvature::Convex] {
-        let (stiffness, damping) = dynamics.internal.derivatives(from, curvature);
+        let (stiffness, damping) = dynamics.internal.derivatives(from, dynamics.fixed, curvature);
         let matrix = stiffness.combined(h * h, &damping, h, inertia);
         let ahead = stiffness.times(&from.velocities);
         let right: Vec<DVec3> = forces.iter().zip(ahead).map(|(force, ahead)| (force - ahead * h) * h).collect();
@@ -168,7 +168,7 @@ mod tests {
         let dynamics = Dynamics { internal: &internal, field: &|_| DVec3::ZERO, mass: 1.0, drag_per_s: 0.0, fixed: &fixed };
         let wrinkled = |p: DVec3| p + DVec3::new((3.1 * p.x).sin(), (2.3 * p.y + 1.0).sin(), (1.7 * p.z).cos());
         let mut state = Particles { positions: rest.map(wrinkled).positions, velocities: vec![DVec3::ZERO; fixed.len()] };
-        let force = |state: &Particles| internal.forces(state, |_| DVec3::ZERO).iter().map(|force| force.length()).sum::<f64>();
+        let force = |state: &Particles| internal.forces(state, &fixed, |_| DVec3::ZERO).iter().map(|force| force.length()).sum::<f64>();
         let before = force(&state);
         for _ in 0..(4.0 / time_step_s).round() as usize {
             state = step(solver, &state, time_step_s, &dynamics);

@@ -307,9 +307,8 @@ fn evolve_cycle(
     let total = borders.len();
     let done = AtomicUsize::new(0);
     monitor.advance(0, total);
-    let level = parameters.mesh.level;
     let ellipsoids = |of: &[Borders]| {
-        PerSurface::of(|surface| deform::bounding_ellipsoid(of.iter().flat_map(|gate| &gate.found.get(surface).points), level))
+        PerSurface::of(|surface| deform::ellipsoid(of.iter().flat_map(|gate| &gate.found.get(surface).points), &parameters.mesh))
     };
     let evolve = |gate: usize, seeds: PerSurface<Mesh>| {
         let result = evolve_gate(gate, &study.grid, &borders[gate], seeds, parameters, monitor);

@@ -96,14 +96,14 @@ impl Internal {
         self.springs.is_empty() && self.stretches.is_empty()
     }
 
-    /// The force on every particle, −(k C + kd Ċ) ∇C summed over its conditions, in mass units × mm/s². `direction` is the field's
-    /// direction at a particle, a unit vector or zero.
-    pub fn forces(&self, at: &Particles, direction: impl Fn(usize) -> DVec3) -> Vec<DVec3> {
+    /// The force on every particle that is not fixed, −(k C + kd Ċ) ∇C summed over its conditions, in mass units × mm/s². `direction` is the
+    /// field's direction at a particle, a unit vector or zero. Conditions among fixed particles only move nothing and are passed over.
+    pub fn forces(&self, at: &Particles, fixed: &[bool], direction: impl Fn(usize) -> DVec3) -> Vec<DVec3> {
         let mut forces = vec![DVec3::ZERO; at.positions.len()];
-        add_forces(&self.springs, self.stretch, at, &mut forces);
-        add_forces(&self.stretches, self.stretch, at, &mut forces);
-        add_forces(&self.shears, self.shear, at, &mut forces);
-        add_forces(&self.bends, self.bend, at, &mut forces);
+        add_forces(&self.springs, self.stretch, at, fixed, &mut forces);
+        add_forces(&self.stretches, self.stretch, at, fixed, &mut forces);
+        add_forces(&self.shears, self.shear, at, fixed, &mut forces);
+        add_forces(&self.bends, self.bend, at, fixed, &mut forces);
         if let Some(kept) = self.restricted {
             for (particle, force) in forces.iter_mut().enumerate() {
                 let along = direction(particle);
@@ -116,15 +116,15 @@ impl Internal {
 
     /// −∂f/∂x and −∂f/∂v. Of the damping's own change with the places only the symmetric part is kept, as Baraff & Witkin do (§4.5): with
     /// the other one conjugate gradients could not be used.
-    pub fn derivatives(&self, at: &Particles, curvature: Curvature) -> (BlockMatrix, BlockMatrix) {
+    pub fn derivatives(&self, at: &Particles, fixed: &[bool], curvature: Curvature) -> (BlockMatrix, BlockMatrix) {
         let (mut stiffness, mut damping) = (BlockMatrix::zero(&self.pattern), BlockMatrix::zero(&self.pattern));
         let lengths = |tension: f64| if curvature == Curvature::Whole { tension } else { tension.max(0.0) };
         let others = |tension: f64| if curvature == Curvature::Whole { tension } else { 0.0 };
         let both = (&mut stiffness, &mut damping);
-        add_derivatives(&self.springs, self.stretch, at, lengths, (both.0, both.1));
-        add_derivatives(&self.stretches, self.stretch, at, lengths, (both.0, both.1));
-        add_derivatives(&self.shears, self.shear, at, others, (both.0, both.1));
-        add_derivatives(&self.bends, self.bend, at, others, (both.0, both.1));
+        add_derivatives(&self.springs, self.stretch, (at, fixed), lengths, (both.0, both.1));
+        add_derivatives(&self.stretches, self.stretch, (at, fixed), lengths, (both.0, both.1));
+        add_derivatives(&self.shears, self.shear, (at, fixed), others, (both.0, both.1));
+        add_derivatives(&self.bends, self.bend, (at, fixed), others, (both.0, both.1));
         (stiffness, damping)
     }
 
@@ -175,8 +175,14 @@ fn bends(rest: &Mesh) -> Vec<Bound<4, Bend>> {
     .collect()
 }
 
-fn add_forces<const N: usize, C: Condition<N>>(bound: &[Bound<N, C>], constants: Constants, at: &Particles, forces: &mut [DVec3]) {
-    for Bound { particles, condition } in bound {
+fn add_forces<const N: usize, C: Condition<N>>(
+    bound: &[Bound<N, C>],
+    constants: Constants,
+    at: &Particles,
+    fixed: &[bool],
+    forces: &mut [DVec3],
+) {
+    for Bound { particles, condition } in bound.iter().filter(|bound| moves(&bound.particles, fixed)) {
         let slope = condition.slope(particles.map(|particle| at.positions[particle]));
         let rate: f64 = particles.iter().zip(slope.gradient).map(|(&particle, gradient)| gradient.dot(at.velocities[particle])).sum();
         let tension = constants.k * slope.value + constants.kd * rate;
@@ -186,15 +192,20 @@ fn add_forces<const N: usize, C: Condition<N>>(bound: &[Bound<N, C>], constants:
     }
 }
 
+/// Whether any of these particles may move.
+fn moves(particles: &[usize], fixed: &[bool]) -> bool {
+    particles.iter().any(|&particle| !fixed[particle])
+}
+
 /// `curved` turns the tension k C + kd Ċ into the factor of the second derivatives.
 fn add_derivatives<const N: usize, C: Condition<N>>(
     bound: &[Bound<N, C>],
     constants: Constants,
-    at: &Particles,
+    (at, fixed): (&Particles, &[bool]),
     curved: impl Fn(f64) -> f64,
     (stiffness, damping): (&mut BlockMatrix, &mut BlockMatrix),
 ) {
-    for Bound { particles, condition } in bound {
+    for Bound { particles, condition } in bound.iter().filter(|bound| moves(&bound.particles, fixed)) {
         let places = particles.map(|particle| at.positions[particle]);
         let slope = condition.slope(places);
         let rate: f64 = particles.iter().zip(slope.gradient).map(|(&particle, gradient)| gradient.dot(at.velocities[particle])).sum();
@@ -226,7 +237,7 @@ mod tests {
     }
 
     fn forces(internal: &Internal, at: &Particles) -> Vec<DVec3> {
-        internal.forces(at, |_| DVec3::ZERO)
+        internal.forces(at, &vec![false; at.positions.len()], |_| DVec3::ZERO)
     }
 
     /// The matrix times a direction against the central difference of the forces along it.
@@ -242,16 +253,17 @@ mod tests {
     #[test]
     fn derivatives_of_the_plane_model_agree_with_finite_differences() {
         let (internal, at) = plane();
+        let free = vec![false; at.positions.len()];
         let direction: Vec<DVec3> = at.positions.iter().map(|p| DVec3::new((3.0 * p.x).sin(), p.y.cos(), (p.z * p.x).sin())).collect();
         let shifted = |values: &[DVec3], by: f64| values.iter().zip(&direction).map(|(value, d)| value + d * by).collect::<Vec<_>>();
         // By the places, at rest: what depends on the velocity is not symmetric and left out by intent.
         let still = Particles { velocities: vec![DVec3::ZERO; at.positions.len()], ..at.clone() };
-        let (stiffness, _) = internal.derivatives(&still, Curvature::Whole);
+        let (stiffness, _) = internal.derivatives(&still, &free, Curvature::Whole);
         let step = 1e-5;
         let at_place = |by: f64| forces(&internal, &Particles { positions: shifted(&at.positions, by), ..still.clone() });
         compare(&stiffness.times(&direction), &at_place(-step), &at_place(step), step);
         // By the velocities.
-        let (_, damping) = internal.derivatives(&at, Curvature::Whole);
+        let (_, damping) = internal.derivatives(&at, &free, Curvature::Whole);
         let at_speed = |by: f64| forces(&internal, &Particles { velocities: shifted(&at.velocities, by), ..at.clone() });
         compare(&damping.times(&direction), &at_speed(-1.0), &at_speed(1.0), 1.0);
     }
@@ -279,7 +291,7 @@ mod tests {
             let internal = Internal::new(&DeformParameters { model, ..Parameters::paper().deform }, &rest);
             assert!(forces(&internal, &still).iter().all(|force| force.length() < 1e-9), "{model:?}");
             assert_eq!(internal.is_empty(), model == Model::Free);
-            let moved = internal.forces(&at, |_| DVec3::X);
+            let moved = internal.forces(&at, &vec![false; at.positions.len()], |_| DVec3::X);
             assert_eq!(moved.iter().all(|force| *force == DVec3::ZERO), model == Model::Free, "{model:?}");
         }
     }
@@ -290,7 +302,7 @@ mod tests {
         let rest = Mesh::icosphere(1).map(|unit| unit * 25.0);
         let of = |model, spring_direction| {
             let deform = DeformParameters { model, spring_direction, ..Parameters::paper().deform };
-            Internal::new(&deform, &rest).forces(&at, |particle| rest.positions[particle].normalize())
+            Internal::new(&deform, &rest).forces(&at, &vec![false; at.positions.len()], |particle| rest.positions[particle].normalize())
         };
         let whole = of(Model::SpringMass, SpringDirection::AcrossField);
         let across = of(Model::RestrictedSpringMass, SpringDirection::AcrossField);

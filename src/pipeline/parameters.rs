@@ -95,13 +95,15 @@ pub struct GvfParameters {
 }
 
 /// The mesh of both surfaces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeshParameters {
     /// Subdivisions of the icosahedron: 2, 3 or 4 for 162, 642 or 2562 vertices (Table 2).
     pub level: u32,
     /// What the evolution of each gate starts from.
     pub seed: Seed,
+    /// The initial ellipsoid's axes over those of the one that bounds the border. The paper's printed meshes (Table 2) have 1.5.
+    pub seed_scale: f64,
 }
 
 /// Where the mesh of a gate starts. The topology is the icosphere's in all three, so that a vertex is the same particle in every gate.
@@ -222,7 +224,7 @@ impl Parameters {
             // §7.5: "a GVF balancing constant of 10"; the tolerance is ours: the field's direction no longer changes below it.
             gvf: GvfParameters { mu: 10.0, tolerance: 1e-4 },
             // §7.4: "the selected initial mesh is the one labelled as 2" (642 particles).
-            mesh: MeshParameters { level: 3, seed: Seed::OwnEllipsoid },
+            mesh: MeshParameters { level: 3, seed: Seed::OwnEllipsoid, seed_scale: 1.0 },
             // §7.5: free model, RK4, "a damping factor of 1% and a time increment of 0.1 seconds"; table 1: the constants of stretch, shear
             // and bend. Ours: the cap on steps (ten times what phantoms need), and what ends the evolution (see `super::rest`).
             deform: DeformParameters {

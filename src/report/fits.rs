@@ -74,7 +74,7 @@ pub struct Extremes {
 pub struct DistanceTrace {
     /// Simulated time of each sample in s.
     pub time_s: Vec<f64>,
-    /// Mean distance of all particles to the border in mm, a sample each.
+    /// Mean distance of all particles to the border without its sign, in mm, a sample each.
     pub mean_mm: Vec<f64>,
     /// Particles within one voxel of the border in percent, a sample each.
     pub within_one_voxel_percent: Vec<f64>,
@@ -87,7 +87,7 @@ pub struct DistanceTrace {
 pub struct ParticleDistances {
     /// The vertex of the mesh.
     pub vertex: usize,
-    /// Distance to the border in mm, positive outside, a sample each.
+    /// Distance to the border along the normal of its nearest point in mm, positive outside, a sample each.
     pub distance_mm: Vec<f64>,
 }
 
