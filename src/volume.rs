@@ -144,8 +144,8 @@ pub fn sample_scalar(grid: &Grid, values: &Array3<f32>, point_mm: DVec3) -> f64 
 
 /// The eight voxels around a point, as places in memory order, and where the point lies among them.
 struct Cell {
-    low: usize,
-    step: [usize; 3],
+    /// Without, with a step along x, y, both; then the same a step along z.
+    places: [usize; 8],
     fraction: [f64; 3],
 }
 
@@ -153,31 +153,34 @@ impl Cell {
     fn at(grid: &Grid, point_mm: DVec3) -> Self {
         let [_, ny, nx] = grid.shape;
         let strides = [ny * nx, nx, 1];
-        let mut cell = Self { low: 0, step: [0; 3], fraction: [0.0; 3] };
+        let (mut low, mut step, mut fraction) = (0, [0; 3], [0.0; 3]);
         for (axis, index) in grid.fractional_index(point_mm).into_iter().enumerate() {
             let last = grid.shape[axis] - 1;
             let clamped = index.clamp(0.0, last as f64);
-            let floor = clamped.floor();
-            cell.low += floor as usize * strides[axis];
-            cell.step[axis] = if (floor as usize) < last { strides[axis] } else { 0 };
-            cell.fraction[axis] = clamped - floor;
+            // Truncation is the floor of what is not negative, and much faster.
+            let floor = clamped as usize;
+            low += floor * strides[axis];
+            step[axis] = if floor < last { strides[axis] } else { 0 };
+            fraction[axis] = clamped - floor as f64;
         }
-        cell
+        let [z, y, x] = step;
+        Self { places: [0, x, y, y + x, z, z + x, z + y, z + y + x].map(|offset| low + offset), fraction }
     }
 
     fn interpolate(&self, values: &Array3<f32>) -> f64 {
         match values.as_slice() {
-            Some(flat) => self.between(|place| flat[place]),
-            // An array that is not in standard order; slow, and never met in the pipeline.
-            None => self.between(|place| values.iter().nth(place).copied().unwrap_or_default()),
+            Some(flat) => self.between(flat),
+            // Not in standard order; never met in the pipeline.
+            None => self.between(&values.iter().copied().collect::<Vec<f32>>()),
         }
     }
 
-    fn between(&self, value: impl Fn(usize) -> f32) -> f64 {
-        let ([z, y, x], [fz, fy, fx]) = (self.step, self.fraction);
-        let along_x = |place: usize| f64::from(value(place)) * (1.0 - fx) + f64::from(value(place + x)) * fx;
-        let along_y = |place: usize| along_x(place) * (1.0 - fy) + along_x(place + y) * fy;
-        along_y(self.low) * (1.0 - fz) + along_y(self.low + z) * fz
+    fn between(&self, flat: &[f32]) -> f64 {
+        let [fz, fy, fx] = self.fraction;
+        let [a, b, c, d, e, f, g, h] = self.places.map(|place| f64::from(flat[place]));
+        let linear = |low: f64, high: f64, part: f64| low * (1.0 - part) + high * part;
+        let (near, far) = (linear(linear(a, b, fx), linear(c, d, fx), fy), linear(linear(e, f, fx), linear(g, h, fx), fy));
+        linear(near, far, fz)
     }
 }
 

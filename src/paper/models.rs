@@ -86,6 +86,8 @@ pub fn candidates(steps: &Steps) -> Vec<Candidate> {
         restricted(SpringDirection::AcrossField, "Restricted spring-mass, across the field"),
         restricted(SpringDirection::AlongField, "Restricted spring-mass, along the field"),
         of("Free", free, Model::Free, Solver::Euler, steps.explicit_s),
+        of("Spring-mass, the step of plane (2)", None, Model::SpringMass, Solver::Euler, steps.plane_2_s),
+        of("Free, the step of plane (2)", None, Model::Free, Solver::Euler, steps.plane_2_s),
         unsmoothed,
     ];
     let smoothed = |name, model, solver, time_step_s| {
