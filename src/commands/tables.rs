@@ -7,7 +7,7 @@ use ventricle::paper::{self, figures};
 /// Arguments of `ventricle tables`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The tables to run, by number [default: all].
+    /// The tables to run, by number [default: all, and the distances behind figure 5].
     #[arg(long, value_name = "1,4", value_delimiter = ',')]
     only: Vec<usize>,
 
@@ -15,7 +15,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
 
-    /// A document whose tables, between `<!-- table 1 -->` and `<!-- end -->`, are replaced.
+    /// A document whose tables, between `<!-- table 1 -->` and `<!-- end -->`, and distances (`<!-- figure 5 -->`) are replaced.
     #[arg(long, value_name = "FILE")]
     write: Option<PathBuf>,
 }
@@ -27,15 +27,21 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         ensure!(paper::TABLES.contains(number), "the paper has tables 1 to 6, not {number}");
     }
     let mut out = std::io::stdout().lock();
+    let mut put = |heading: &str, name: &str, text: &str| -> anyhow::Result<()> {
+        writeln!(out, "## {heading}\n\n{text}")?;
+        let Some(path) = &args.write else { return Ok(()) };
+        let document = fs::read_to_string(path).with_context(|| format!("{} could not be read", path.display()))?;
+        let document = paper::replace(&document, name, text)
+            .with_context(|| format!("{} has no place for {name} (<!-- {name} --> … <!-- end -->)", path.display()))?;
+        fs::write(path, document).with_context(|| format!("{} could not be written", path.display()))
+    };
     for number in paper::TABLES.filter(|number| args.only.is_empty() || args.only.contains(number)) {
         let text = paper::table(number).with_context(|| format!("table {number} could not be made"))?;
-        writeln!(out, "## Table {number}\n\n{text}")?;
-        if let Some(path) = &args.write {
-            let document = fs::read_to_string(path).with_context(|| format!("{} could not be read", path.display()))?;
-            let document = paper::replace_table(&document, number, &text)
-                .with_context(|| format!("{} has no place for table {number} (<!-- table {number} --> … <!-- end -->)", path.display()))?;
-            fs::write(path, document).with_context(|| format!("{} could not be written", path.display()))?;
-        }
+        put(&format!("Table {number}"), &format!("table {number}"), &text)?;
+    }
+    if args.only.is_empty() {
+        let text = paper::distances().context("the distances behind figure 5 could not be made")?;
+        put("Distances behind figure 5", "figure 5", &text)?;
     }
     if let Some(folder) = &args.figures {
         fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;

@@ -10,6 +10,7 @@ pub mod initial_meshes;
 pub mod markdown;
 pub mod missing;
 pub mod models;
+pub mod oscillation;
 pub mod printed;
 pub mod reconstructions;
 pub mod threshold;
@@ -52,18 +53,26 @@ pub fn table(number: usize) -> Result<String, PaperError> {
     })
 }
 
-/// Replaces what stands between `<!-- table n -->` and `<!-- end -->` in a document; `None` if it has no such place.
-pub fn replace_table(document: &str, number: usize, text: &str) -> Option<String> {
-    let (begin, end) = (format!("<!-- table {number} -->"), "<!-- end -->");
-    let from = document.find(&begin)? + begin.len();
-    let to = from + document[from..].find(end)?;
-    // A second beginning before the end would belong to another table.
-    (!document[from..to].contains("<!-- table")).then(|| format!("{}\n\n{}\n\n{}", &document[..from], text.trim(), &document[to..]))
+/// The distances behind figure 5, measured now, as Markdown.
+///
+/// Errors: what cannot be simulated or reconstructed.
+pub fn distances() -> Result<String, PaperError> {
+    Ok(oscillation::markdown(&oscillation::measure()?))
 }
 
-/// What stands between the marks of a table in a document.
-pub fn written_table(document: &str, number: usize) -> Option<&str> {
-    let begin = format!("<!-- table {number} -->");
+/// Replaces what stands between `<!-- name -->` and `<!-- end -->` in a document (`table 1` to `table 6`, `figure 5`); `None` if it has no
+/// such place.
+pub fn replace(document: &str, name: &str, text: &str) -> Option<String> {
+    let (begin, end) = (format!("<!-- {name} -->"), "<!-- end -->");
+    let from = document.find(&begin)? + begin.len();
+    let to = from + document[from..].find(end)?;
+    // A second beginning before the end would belong to another place.
+    (!document[from..to].contains("<!-- ")).then(|| format!("{}\n\n{}\n\n{}", &document[..from], text.trim(), &document[to..]))
+}
+
+/// What stands between the marks of a place in a document.
+pub fn written<'a>(document: &'a str, name: &str) -> Option<&'a str> {
+    let begin = format!("<!-- {name} -->");
     let from = document.find(&begin)? + begin.len();
     let to = from + document[from..].find("<!-- end -->")?;
     Some(document[from..to].trim())
@@ -76,12 +85,12 @@ mod tests {
     #[test]
     fn only_the_part_between_the_marks_is_replaced() {
         let document = "a\n<!-- table 1 -->\nold\n<!-- end -->\nb\n<!-- table 2 -->\nkept\n<!-- end -->\n";
-        let new = replace_table(document, 1, "new\n").unwrap();
+        let new = replace(document, "table 1", "new\n").unwrap();
         assert_eq!(new, "a\n<!-- table 1 -->\n\nnew\n\n<!-- end -->\nb\n<!-- table 2 -->\nkept\n<!-- end -->\n");
-        assert_eq!(replace_table(&new, 1, "new").as_deref(), Some(new.as_str()));
-        assert_eq!(written_table(&new, 1), Some("new"));
-        assert_eq!(written_table(&new, 2), Some("kept"));
-        assert_eq!(replace_table(document, 3, "new"), None);
-        assert_eq!(replace_table("<!-- table 1 --> <!-- table 2 --> <!-- end -->", 1, "new"), None);
+        assert_eq!(replace(&new, "table 1", "new").as_deref(), Some(new.as_str()));
+        assert_eq!(written(&new, "table 1"), Some("new"));
+        assert_eq!(written(&new, "table 2"), Some("kept"));
+        assert_eq!(replace(document, "table 3", "new"), None);
+        assert_eq!(replace("<!-- table 1 --> <!-- table 2 --> <!-- end -->", "table 1", "new"), None);
     }
 }

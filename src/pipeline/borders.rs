@@ -33,6 +33,13 @@ pub struct Border {
     pub points: Vec<BorderPoint>,
 }
 
+impl Border {
+    /// Mean of the border's places in grid mm.
+    pub fn middle_mm(&self) -> DVec3 {
+        self.points.iter().map(|point| point.position_mm).sum::<DVec3>() / self.points.len().max(1) as f64
+    }
+}
+
 /// The borders of a gate.
 #[derive(Debug, Clone)]
 pub struct Borders {
