@@ -167,6 +167,8 @@ pub struct Deform {
     #[schema(inline, default = "rk4")]
     pub solver: Option<Solver>,
     /// Time step in s. The paper: 0.1 to 0.17 (free), 0.01 and 0.05 (plane), 0.0005 (springs). Left out with the model `plane`: 0.05.
+    /// Explicit Euler is stable below kd/k (0.1 s with the defaults); a particle moves by half a voxel a step at most, so that a step too
+    /// long shows as jitter.
     #[schema(minimum = 0.0001, maximum = 1.0, default = 0.1)]
     pub time_step_s: Option<f64>,
     /// Mass of a particle. The field pulls each with the force that accelerates mass 1 by 10 mm/s².
@@ -196,7 +198,8 @@ pub struct Deform {
     /// Whether a stopped particle is moved to the border at sub-voxel precision; `false` leaves it where it stopped, as the paper does.
     #[schema(default = true)]
     pub subvoxel: Option<bool>,
-    /// The evolution ends when the particles that still move come nearer to the border by less than this a second on average, in voxels.
+    /// The evolution ends when the mean distance to the border of the particles that still move changes by less than this from one second to
+    /// the next, twice in a row, in voxels. 0 switches this off.
     #[schema(minimum = 0.0, maximum = 1.0, default = 0.05)]
     pub rest_voxels: Option<f64>,
     /// Steps after which the evolution ends whatever still moves.

@@ -26,6 +26,13 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     for number in &args.only {
         ensure!(paper::TABLES.contains(number), "the paper has tables 1 to 6, not {number}");
     }
+    // Asked before minutes are spent.
+    if let Some(path) = &args.write {
+        fs::OpenOptions::new().write(true).open(path).with_context(|| format!("{} cannot be written", path.display()))?;
+    }
+    if let Some(folder) = &args.figures {
+        fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;
+    }
     let mut out = std::io::stdout().lock();
     let mut put = |heading: &str, name: &str, text: &str| -> anyhow::Result<()> {
         writeln!(out, "## {heading}\n\n{text}")?;
@@ -44,7 +51,6 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         put("Distances behind figure 5", "figure 5", &text)?;
     }
     if let Some(folder) = &args.figures {
-        fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;
         for number in figures::FIGURES {
             if let Some(figure) = figures::figure(number).with_context(|| format!("figure {number} could not be made"))? {
                 let path = folder.join(figure.file);

@@ -35,7 +35,7 @@ pub fn measure() -> Result<[Course; 2], PaperError> {
     parameters.deform.smoothing = false;
     // Nothing but the time ends the evolution, and half the paper's step shows the turns.
     parameters.deform.time_step_s = 0.05;
-    parameters.deform.rest_voxels = f64::NEG_INFINITY;
+    parameters.deform.rest_voxels = 0.0;
     parameters.deform.max_steps = (FOLLOWED_S / parameters.deform.time_step_s).ceil() as usize;
     let flow = experiment.flow(surface, &parameters)?;
     let seed = experiment.seed_of_printed_area(surface, parameters.mesh.level);

@@ -80,7 +80,7 @@ pub fn evolve(seed: Mesh, setting: &Setting<'_>, watch: &mut dyn FnMut(&Moment<'
     let count = seed.positions.len();
     let mut particles = Particles { velocities: vec![DVec3::ZERO; count], positions: seed.positions };
     let mut ice = Ice::new(border, grid, count);
-    let mut rest = Rest::new(border, grid, count, deform.time_step_s, deform.rest_voxels * grid.smallest_spacing_mm());
+    let mut rest = Rest::new(border, grid, count, (deform.time_step_s, deform.mass), deform.rest_voxels * grid.smallest_spacing_mm());
     let mut recorder = deform.record_distances.then(|| Recorder::new(border, grid, deform.time_step_s));
     let mut steps = 0;
     let stop = loop {

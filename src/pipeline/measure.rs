@@ -7,11 +7,20 @@ use glam::DVec3;
 /// A mesh whose particles missed the border by more than this part has not found it.
 const LEAST_WITHIN_ONE_VOXEL: f64 = 0.5;
 
-/// Measures an evolved mesh against its border.
-pub fn fit(gate: usize, surface: Surface, evolved: Evolved, border: &Border, flow: &Flow, grid: &Grid) -> Result<Fit, PipelineError> {
+/// Measures an evolved mesh against its border. Where particles were to swing freely about it (`swings`), how far off they ended is what was
+/// asked for, and no failure.
+pub fn fit(
+    (gate, surface): (usize, Surface),
+    evolved: Evolved,
+    border: &Border,
+    flow: &Flow,
+    grid: &Grid,
+    swings: bool,
+) -> Result<Fit, PipelineError> {
     let Distances { within_one_voxel, mean_mm } = distances(&evolved.mesh.positions, border, grid);
     let volume = evolved.mesh.volume_ml();
-    if within_one_voxel < LEAST_WITHIN_ONE_VOXEL || !volume.is_finite() || volume <= 0.0 {
+    let lost = within_one_voxel < LEAST_WITHIN_ONE_VOXEL || volume <= 0.0;
+    if (lost && !swings) || !volume.is_finite() {
         let why = format!(
             "{:.0} % of its particles came within one voxel of the border and it encloses {volume:.1} ml",
             100.0 * within_one_voxel
@@ -54,11 +63,11 @@ pub fn distances(positions: &[DVec3], border: &Border, grid: &Grid) -> Distances
 
 /// Distance to the nearest border voxel's centre, in voxels (each axis by its own spacing) and in mm.
 fn nearest(position: DVec3, border: &Border, grid: &Grid) -> (f64, f64) {
-    let step = grid.step_mm();
+    let per_step = grid.step_mm().recip();
     let mut best = (f64::INFINITY, f64::INFINITY);
     for point in &border.points {
         let offset = position - grid.position_mm(point.voxel);
-        best = (best.0.min((offset / step).length_squared()), best.1.min(offset.length_squared()));
+        best = (best.0.min((offset * per_step).length_squared()), best.1.min(offset.length_squared()));
     }
     (best.0.sqrt(), best.1.sqrt())
 }

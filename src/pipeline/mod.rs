@@ -353,14 +353,18 @@ fn evolve_gate(
     let ((mut inner, inner_flow), (mut outer, outer_flow)) = (inner?, outer?);
     let wall_order = observed(monitor, Stage::Wall, in_gate, || Ok(wall::order(&mut inner.mesh, &mut outer.mesh)))?;
     let result = observed(monitor, Stage::Measurement, in_gate, || {
-        let fit = |surface, evolved, flow: &Flow| measure::fit(gate + 1, surface, evolved, borders.found.get(surface), flow, grid);
+        let swings = !parameters.deform.freezing;
+        let fit =
+            |surface, evolved, flow: &Flow| measure::fit((gate + 1, surface), evolved, borders.found.get(surface), flow, grid, swings);
         let fits = PerSurface {
             endocardial: fit(Surface::Endocardial, inner, &inner_flow)?,
             epicardial: fit(Surface::Epicardial, outer, &outer_flow)?,
         };
         Ok(GateReconstruction { fits, wall_order })
     })?;
-    measure::check(gate + 1, &result)?;
+    if parameters.deform.freezing {
+        measure::check(gate + 1, &result)?;
+    }
     Ok(result)
 }
 

@@ -147,7 +147,7 @@ pub struct DeformParameters {
     pub freezing: bool,
     /// Whether a frozen particle is moved to the edge's sub-voxel position.
     pub subvoxel: bool,
-    /// The evolution ends when the moving particles come nearer to the border by less than this a second on average, in voxels.
+    /// The evolution ends when the moving particles' mean distance to the border changes by less than this a second, in voxels; 0: never.
     pub rest_voxels: f64,
     /// Steps after which the evolution ends whatever still moves.
     pub max_steps: usize,

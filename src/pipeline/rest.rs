@@ -1,9 +1,9 @@
 //! When an evolution has ended: the definitive stopping mechanism, the first of the paper's open questions (§9).
 //!
 //! Freezing on border voxels stops most particles. The others, and all of them where freezing is off, swing about the border or hang on
-//! springs, and slide along it without friction for ever. They have arrived when they come no nearer to the border: when their mean
-//! distance to it over a second is no smaller than over the second before. Measured on the paper's phantom without freezing, that distance
-//! falls for two to four seconds; afterwards particles only slide together, and the mesh falls in.
+//! springs, and slide along it without friction for ever. They have arrived when their mean distance to the border stays: when over a second
+//! it is what it was over the second before, twice in a row. Measured on the paper's phantom without freezing, that distance falls for two
+//! to four seconds; afterwards particles only slide together, and the mesh falls in.
 
 use super::borders::Border;
 use crate::volume::Grid;
@@ -16,15 +16,18 @@ use serde::{Deserialize, Serialize};
 pub enum Stop {
     /// Every particle froze on the border.
     AllFrozen,
-    /// The particles that are not frozen come no nearer to the border.
+    /// The mean distance to the border of the particles that are not frozen stays.
     AtRest,
     /// The most steps that were allowed have been taken.
     StepLimit,
 }
 
-/// Simulated time over which places and distances are averaged, in s. A particle pulled by 10 mm/s² crosses two voxels in a second, so that
-/// one on its way is never taken for one at rest, and swings of a voxel take less than that.
+/// Simulated time over which places and distances are averaged for particles of unit mass, in s. One pulled by 10 mm/s² crosses two voxels in a
+/// second, so that one on its way is never taken for one at rest, and swings of a voxel take less than that. Times grow with the root of
+/// the mass.
 const WINDOW_S: f64 = 1.0;
+/// Windows in a row that must not differ from the one before: at the turn of a swing one does not.
+const STILL_WINDOWS: usize = 2;
 /// Least steps in a window.
 const FEWEST_STEPS: usize = 4;
 /// Times a window at which distances are measured, which costs more than a step.
@@ -35,8 +38,9 @@ const SAMPLES: usize = 4;
 pub struct Rest {
     centres_mm: Vec<DVec3>,
     steps_a_window: usize,
-    /// Mean approach in a window below which particles are at rest, in mm.
+    /// Change of the mean distance from one window to the next below which particles are at rest, in mm; at 0 they never are.
     tolerance_mm: f64,
+    still: usize,
     taken: usize,
     samples: usize,
     places: Vec<DVec3>,
@@ -45,12 +49,13 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Nothing seen yet. At rest is who comes nearer by less than `tolerance_mm` a second.
-    pub fn new(border: &Border, grid: &Grid, particles: usize, time_step_s: f64, tolerance_mm: f64) -> Self {
+    /// Nothing seen yet. At rest are particles whose mean distance changes by less than `tolerance_mm` a window; with 0 none ever are.
+    pub fn new(border: &Border, grid: &Grid, particles: usize, (time_step_s, mass): (f64, f64), tolerance_mm: f64) -> Self {
         Self {
             centres_mm: border.points.iter().map(|point| grid.position_mm(point.voxel)).collect(),
-            steps_a_window: ((WINDOW_S / time_step_s).round() as usize).max(FEWEST_STEPS),
+            steps_a_window: ((WINDOW_S * mass.sqrt() / time_step_s).round() as usize).max(FEWEST_STEPS),
             tolerance_mm,
+            still: 0,
             taken: 0,
             samples: 0,
             places: vec![DVec3::ZERO; particles],
@@ -61,6 +66,9 @@ impl Rest {
 
     /// Takes a step in; at rest, answers with the mean place of every particle over the last window.
     pub fn observe(&mut self, positions: &[DVec3], frozen: &[bool]) -> Option<Vec<DVec3>> {
+        if self.tolerance_mm <= 0.0 {
+            return None;
+        }
         for (sum, position) in self.places.iter_mut().zip(positions) {
             *sum += *position;
         }
@@ -84,7 +92,8 @@ impl Rest {
         let last_mm = self.last_mm.replace(distances_mm.clone())?;
         let moving = || (0..frozen.len()).filter(|&particle| !frozen[particle]);
         let approach_mm = moving().map(|particle| last_mm[particle] - distances_mm[particle]).sum::<f64>() / moving().count().max(1) as f64;
-        (approach_mm <= self.tolerance_mm).then_some(places)
+        self.still = if approach_mm.abs() <= self.tolerance_mm { self.still + 1 } else { 0 };
+        (self.still >= STILL_WINDOWS).then_some(places)
     }
 }
 
@@ -97,7 +106,7 @@ mod tests {
     fn rest(time_step_s: f64, particles: usize) -> Rest {
         let grid = Grid { shape: [4, 4, 4], spacing_mm: [3.0; 3] };
         let point = BorderPoint { voxel: [0; 3], position_mm: DVec3::ZERO, normal: DVec3::X };
-        Rest::new(&Border { points: vec![point] }, &grid, particles, time_step_s, 0.1)
+        Rest::new(&Border { points: vec![point] }, &grid, particles, (time_step_s, 1.0), 0.1)
     }
 
     /// When a particle that moves like this is at rest, within 60 s, and where.
@@ -108,8 +117,8 @@ mod tests {
 
     #[test]
     fn who_swings_about_the_border_rests_in_the_middle() {
-        let (time, place) = rests_at(|t| DVec3::X * 2.0 * (t * 25.0).sin()).unwrap();
-        assert!(time < 3.0 && place.length() < 0.1, "{time} {place}");
+        let (time, place) = rests_at(|t| DVec3::X * 2.0 * (t * 7.5 * std::f64::consts::TAU).sin()).unwrap();
+        assert!(time < 4.0 && place.length() < 0.1, "{time} {place}");
     }
 
     #[test]
@@ -120,16 +129,29 @@ mod tests {
     }
 
     #[test]
+    fn who_swings_far_and_slowly_does_not_rest() {
+        // Away from the border as much as towards it.
+        assert_eq!(rests_at(|t| DVec3::X * 20.0 * (0.9 * t).cos()), None);
+    }
+
+    #[test]
+    fn without_tolerance_nobody_rests() {
+        let mut rest = rest(0.1, 1);
+        rest.tolerance_mm = 0.0;
+        assert!((0..100).all(|_| rest.observe(&[DVec3::X], &[false]).is_none()));
+    }
+
+    #[test]
     fn who_only_slides_along_rests() {
         let (time, _) = rests_at(|t| DVec3::new(3.0 * (0.3 * t).cos(), 3.0 * (0.3 * t).sin(), 0.0)).unwrap();
-        assert!(time < 3.0, "{time}");
+        assert!(time < 4.0, "{time}");
     }
 
     #[test]
     fn frozen_particles_do_not_count() {
         let mut rest = rest(0.25, 2);
-        let places = (0..8_u32).map(|step| [DVec3::X * (9.0 - f64::from(step)), DVec3::Y]);
+        let places = (0..12_u32).map(|step| [DVec3::X * (13.0 - f64::from(step)), DVec3::Y]);
         let observed: Vec<bool> = places.map(|places| rest.observe(&places, &[true, false]).is_some()).collect();
-        assert_eq!(observed, [false, false, false, false, false, false, false, true]);
+        assert_eq!(observed.iter().position(|rests| *rests), Some(11), "{observed:?}");
     }
 }

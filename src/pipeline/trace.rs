@@ -34,7 +34,7 @@ pub struct ParticleTrace {
 /// Single particles that are followed: the corners of the icosahedron, which lie all round and are the first vertices at every level.
 const FOLLOWED: usize = 12;
 /// Most samples kept. When there are more, every second one is dropped and half as many taken from then on.
-const MOST_SAMPLES: usize = 400;
+const MOST_SAMPLES: usize = 240;
 
 /// Records a trace while the mesh moves.
 pub struct Recorder<'a> {
