@@ -50,7 +50,7 @@ pub struct Recorder<'a> {
 impl<'a> Recorder<'a> {
     /// Nothing recorded yet.
     pub fn new(border: &'a Border, grid: &'a Grid, time_step_s: f64) -> Self {
-        let middle_mm = border.points.iter().map(|point| point.position_mm).sum::<DVec3>() / border.points.len().max(1) as f64;
+        let middle_mm = middle_mm(border);
         let particles = (0..FOLLOWED).map(|vertex| ParticleTrace { vertex, distance_mm: Vec::new() }).collect();
         Self { border, grid, middle_mm, time_step_s, interval: 1, trace: Trace { particles, ..Trace::default() } }
     }
@@ -70,7 +70,7 @@ impl<'a> Recorder<'a> {
         let measured = measure::distances(positions, self.border, self.grid);
         self.trace.time_s.push(steps as f64 * self.time_step_s);
         self.trace.within_one_voxel.push(measured.within_one_voxel);
-        let distances_mm: Vec<f64> = positions.iter().map(|&position| self.outside_mm(position)).collect();
+        let distances_mm: Vec<f64> = positions.iter().map(|&position| outside_mm(position, self.border, self.middle_mm)).collect();
         self.trace.mean_mm.push(distances_mm.iter().map(|mm| mm.abs()).sum::<f64>() / distances_mm.len().max(1) as f64);
         for (particle, &distance_mm) in self.trace.particles.iter_mut().zip(&distances_mm) {
             particle.distance_mm.push(distance_mm);
@@ -82,22 +82,28 @@ impl<'a> Recorder<'a> {
         self.trace
     }
 
-    /// How far outside the border a point lies; outside is where the normal points once it is turned away from the border's middle.
-    fn outside_mm(&self, position: DVec3) -> f64 {
-        let to = |point: &BorderPoint| position.distance_squared(point.position_mm);
-        let nearest = self.border.points.iter().min_by(|a, b| to(a).total_cmp(&to(b)));
-        nearest.map_or(f64::NAN, |point| {
-            let outward = point.normal * point.normal.dot(point.position_mm - self.middle_mm).signum();
-            (position - point.position_mm).dot(outward)
-        })
-    }
-
     fn thin(&mut self) {
         let samples = [&mut self.trace.time_s, &mut self.trace.mean_mm, &mut self.trace.within_one_voxel];
         for list in samples.into_iter().chain(self.trace.particles.iter_mut().map(|particle| &mut particle.distance_mm)) {
             *list = list.iter().copied().step_by(2).collect();
         }
     }
+}
+
+/// The mean of a border's points, in grid mm.
+pub fn middle_mm(border: &Border) -> DVec3 {
+    border.points.iter().map(|point| point.position_mm).sum::<DVec3>() / border.points.len().max(1) as f64
+}
+
+/// How far outside the border a point lies, in mm, along the normal of the border's nearest point: between two slices the distance to the
+/// point itself does not become zero. Outside is where the normal points once it is turned away from the border's middle.
+pub fn outside_mm(position: DVec3, border: &Border, middle_mm: DVec3) -> f64 {
+    let to = |point: &BorderPoint| position.distance_squared(point.position_mm);
+    let nearest = border.points.iter().min_by(|a, b| to(a).total_cmp(&to(b)));
+    nearest.map_or(f64::NAN, |point| {
+        let outward = point.normal * point.normal.dot(point.position_mm - middle_mm).signum();
+        (position - point.position_mm).dot(outward)
+    })
 }
 
 #[cfg(test)]

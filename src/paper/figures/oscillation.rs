@@ -7,11 +7,11 @@ use super::{
 };
 use crate::pipeline::{
     Surface,
-    borders::{Border, BorderPoint},
+    borders::Border,
     deform::Moment,
     parameters::Parameters,
+    trace::{middle_mm, outside_mm},
 };
-use glam::DVec3;
 
 /// Simulated time that is drawn, in s.
 const SHOWN_S: f64 = 20.0;
@@ -74,7 +74,7 @@ pub(super) fn draw() -> Result<String, PaperError> {
 
 impl Course {
     fn take(&mut self, moment: &Moment<'_>, border: &Border, time_step_s: f64) {
-        let middle = border.points.iter().map(|point| point.position_mm).sum::<DVec3>() / border.points.len().max(1) as f64;
+        let middle = middle_mm(border);
         self.time_s.push(moment.steps as f64 * time_step_s);
         for (values, (vertex, _)) in self.particles_mm.iter_mut().zip(PARTICLES) {
             values.push(outside_mm(moment.positions[vertex], border, middle));
@@ -90,17 +90,6 @@ impl Course {
             values.push(values.last().copied().unwrap_or(f64::NAN));
         }
     }
-}
-
-/// How far outside the border a point lies, in mm, along the normal of the border's nearest point: between two slices, 5.74 mm apart, the
-/// distance to the point itself does not become zero.
-fn outside_mm(position: DVec3, border: &Border, middle_mm: DVec3) -> f64 {
-    let to = |point: &BorderPoint| position.distance_squared(point.position_mm);
-    let nearest = border.points.iter().min_by(|a, b| to(a).total_cmp(&to(b)));
-    nearest.map_or(f64::NAN, |point| {
-        let outward = point.normal * point.normal.dot(point.position_mm - middle_mm).signum();
-        (position - point.position_mm).dot(outward)
-    })
 }
 
 fn legend(sheet: &mut Sheet) {
