@@ -147,7 +147,8 @@ pub struct DeformParameters {
     pub freezing: bool,
     /// Whether a frozen particle is moved to the edge's sub-voxel position.
     pub subvoxel: bool,
-    /// The evolution ends when the moving particles come nearer to the border by less than this a second on average, in voxels.
+    /// The evolution ends when the moving particles come nearer to the border by less than this on average, in voxels (the smallest spacing),
+    /// from one window to the next (a second, or four steps where these take longer; see [`super::rest`]).
     pub rest_voxels: f64,
     /// Steps after which the evolution ends whatever still moves.
     pub max_steps: usize,
@@ -159,7 +160,7 @@ pub struct DeformParameters {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
-    /// Spring constant, force a unit of the condition.
+    /// Spring constant, force a unit of the condition (mm; radians for bend).
     pub k: f64,
     /// Damping constant, force a unit of the condition's rate.
     pub kd: f64,

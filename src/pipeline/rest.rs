@@ -25,7 +25,7 @@ pub enum Stop {
 /// Simulated time over which places and distances are averaged, in s. A particle pulled by 10 mm/s² crosses two voxels in a second, so that
 /// one on its way is never taken for one at rest, and swings of a voxel take less than that.
 const WINDOW_S: f64 = 1.0;
-/// Least steps in a window.
+/// Least steps in a window, one a sample: steps of more than a quarter of a second make it longer.
 const FEWEST_STEPS: usize = 4;
 /// Times a window at which distances are measured, which costs more than a step.
 const SAMPLES: usize = 4;
@@ -45,7 +45,7 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Nothing seen yet. At rest is who comes nearer by less than `tolerance_mm` a second.
+    /// Nothing seen yet. At rest is who comes nearer by less than `tolerance_mm` from one window to the next.
     pub fn new(border: &Border, grid: &Grid, particles: usize, time_step_s: f64, tolerance_mm: f64) -> Self {
         Self {
             centres_mm: border.points.iter().map(|point| grid.position_mm(point.voxel)).collect(),
@@ -59,7 +59,8 @@ impl Rest {
         }
     }
 
-    /// Takes a step in; at rest, answers with the mean place of every particle over the last window.
+    /// Takes a step in; at rest, answers with the mean place of every particle over the last window. Whether particles are at rest is their
+    /// mean approach, those that are `frozen` left out.
     pub fn observe(&mut self, positions: &[DVec3], frozen: &[bool]) -> Option<Vec<DVec3>> {
         for (sum, position) in self.places.iter_mut().zip(positions) {
             *sum += *position;
