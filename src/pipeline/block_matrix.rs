@@ -66,7 +66,7 @@ impl BlockMatrix {
     }
 }
 
-/// The matrix is not positive definite: conjugate gradients met a direction without resistance.
+/// The matrix is not positive definite: conjugate gradients met a direction without resistance, or what is not a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Indefinite;
 
@@ -98,7 +98,8 @@ pub fn solve(a: &BlockMatrix, b: &[DVec3], fixed: &[bool], tolerance: f64, most:
         }
         let q = free(a.times(&p));
         let resistance = dot(&p, &q);
-        if resistance <= 0.0 {
+        // A right-hand side or block that is not a number would otherwise spread to every particle.
+        if resistance.is_nan() || resistance <= 0.0 {
             return Err(Indefinite);
         }
         let alpha = rz / resistance;
@@ -168,5 +169,14 @@ mod tests {
             solve(&chain(5, -3.0), &[DVec3::X, DVec3::ZERO, DVec3::ZERO, DVec3::Y, DVec3::Z], &[false; 5], 1e-9, 100),
             Err(Indefinite)
         );
+    }
+
+    #[test]
+    fn what_is_not_a_number_does_not_spread() {
+        let mut force = [DVec3::X; 5];
+        force[3].y = f64::NAN;
+        assert_eq!(solve(&chain(5, 10.0), &force, &[false; 5], 1e-9, 100), Err(Indefinite));
+        let fixed = [false, false, false, true, false];
+        assert!(solve(&chain(5, 10.0), &force, &fixed, 1e-9, 100).unwrap().iter().all(|change| change.is_finite()));
     }
 }

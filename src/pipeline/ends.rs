@@ -89,7 +89,8 @@ pub(super) fn direction(grid: &Grid, axial: &[f64], wall: &[f64], ends: &Ends, o
 }
 
 /// The apex of both surfaces on the axis: where the counts change most on either side of the apical wall's maximum. Where there is no
-/// such wall (a defect at the apex; `wall` is the uptake of the wall around) the outer one is where the wall around ends and the inner one a wall's thickness above.
+/// such wall (a defect at the apex; `wall` is the uptake of the wall around) the outer one is where the wall around ends and the inner one a
+/// wall's thickness above.
 pub(super) fn apices(grid: &Grid, axial: &[f64], wall: f64, end_mm: f64, base_mm: f64) -> Apices {
     /// A normal wall, for the apex that is not seen.
     const WALL_MM: f64 = 10.0;

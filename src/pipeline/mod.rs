@@ -246,7 +246,8 @@ impl PipelineError {
 /// Reconstructs every gate of a study.
 ///
 /// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, the
-/// evolution of both surfaces, and the order of the wall between them. Gates run in parallel on the caller's rayon pool; nothing is reduced across them in parallel.
+/// evolution of both surfaces, and the order of the wall between them. Gates run in parallel on the caller's rayon pool, the evolutions one
+/// after the other where each starts from the gate before ([`Seed::PreviousGate`]); nothing is reduced across them in parallel.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
     reconstruct_cycle(study, parameters, monitor).map_err(|error| error.for_want_of_short_axis(study))
 }

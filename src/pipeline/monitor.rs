@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum Stage {
     /// Finding the useful slices, the centre and the filtering circle (once a study).
     Region,
-    /// Canny edges.
+    /// The gradient of the counts that edges are found in, by Canny's operator or the plain one.
     Edges,
     /// Telling endocardial from epicardial edges.
     Borders,

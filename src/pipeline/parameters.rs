@@ -159,7 +159,7 @@ pub struct DeformParameters {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
-    /// Spring constant, force a unit of the condition.
+    /// Spring constant, force a unit of the condition (mm; radians for bend).
     pub k: f64,
     /// Damping constant, force a unit of the condition's rate.
     pub kd: f64,

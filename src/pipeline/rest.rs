@@ -64,7 +64,8 @@ impl Rest {
         }
     }
 
-    /// Takes a step in; at rest, answers with the mean place of every particle over the last window.
+    /// Takes a step in; at rest, answers with the mean place of every particle over the last window. Whether particles are at rest is their
+    /// mean approach, those that are `frozen` left out.
     pub fn observe(&mut self, positions: &[DVec3], frozen: &[bool]) -> Option<Vec<DVec3>> {
         if self.tolerance_mm <= 0.0 {
             return None;

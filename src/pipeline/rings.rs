@@ -32,8 +32,8 @@ const NEIGHBOURS_AGREE: f64 = 0.3;
 /// one surface to the other; each half of that turn belongs to its surface's side of the gap, not to its ring.
 const ACROSS: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// A slice whose strongest edge has less than this part of a typical slice's shows no wall. In one gate of each real study the weakest epicardial slice has 0.4,
-/// and only the slice at the tip of the cavity less than this.
+/// A slice whose strongest edge has less than this part of a typical slice's shows no wall. In one gate of each real study the weakest
+/// epicardial slice has 0.4, and only the slice at the tip of the cavity less than this.
 const FAINT: f32 = 0.2;
 
 /// How far around, in sectors and in slices, a point of the border is compared with.

@@ -41,12 +41,13 @@ pub struct WallOrder {
 const LEAST_VOLUME: f64 = 0.01;
 /// A tetrahedron is opened to this much more than the least volume: aiming at the limit itself, sweeps converge on it without end.
 const BEYOND: f64 = 1.1;
-/// Sweeps that hold the surfaces' triangles as well. The studies and phantoms in docs/numerics.md need at most 44.
+/// Sweeps that hold the surfaces' triangles as well. The studies and phantoms in docs/numerics.md need at most 44 with the free model and 61
+/// with the others.
 const SWEEPS: usize = 300;
 /// Sweeps after them for the wall alone, where it cannot be had with all triangles facing outward.
 const WALL_SWEEPS: usize = 300;
 /// After every so many sweeps, what is still below the least volume is taken for a knot, in which each tetrahedron closes another as it
-/// opens, and is loosened. More than the sweeps above: only meshes worse than theirs see it.
+/// opens, and is loosened. More than the free model's 44: only worse meshes see it.
 const KNOT_SWEEPS: usize = 50;
 
 /// Moves the vertices of both surfaces as little as it takes to give every tetrahedron between them a positive volume.

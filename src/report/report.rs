@@ -180,7 +180,8 @@ pub struct Quality {
     pub score: f64,
     /// Stable codes; each has a sentence of the same code in `warnings`. `not_converged`: a surface has less than 95 % of its particles
     /// within one voxel of its border. `myocardial_volume_not_conserved`: the wall's volume varies by more than 5 % over the cycle.
-    /// `step_limit`: a mesh was still moving after `deform.max_steps`. `surfaces_cross`: a cavity is not smaller than the volume inside the outer surface.
+    /// `step_limit`: a mesh was still moving after `deform.max_steps`. `surfaces_cross`: a cavity is not smaller than the volume inside the
+    /// outer surface.
     pub flags: Vec<String>,
 }
 

@@ -77,7 +77,9 @@ fn edges_in_the_volume_converge_too() {
 
 #[test]
 fn the_plain_gradient_reconstructs_in_slices_and_in_the_volume() {
-    for (name, phantom) in [("paper", Phantom::paper()), ("demo", Phantom::demo())] {
+    let mut demo = Phantom::demo();
+    demo.imaging.gates = 4;
+    for (name, phantom) in [("paper", Phantom::paper()), ("demo", demo)] {
         let study = simulated(&phantom);
         for mode in [EdgeMode::Slice, EdgeMode::Volume] {
             let mut parameters = Parameters::paper();
@@ -268,13 +270,10 @@ fn a_cancelled_reconstruction_stops_at_the_next_stage() {
         }
     }
     let study = simulated(&beating(2));
-    for stage in Stage::ALL {
+    // The last stage has no later one to stop at.
+    for stage in Stage::ALL.into_iter().filter(|stage| *stage != Stage::Measurement) {
         let monitor = StopAt(stage, std::sync::atomic::AtomicBool::new(false));
         let result = reconstruct(&study, &Parameters::paper(), &monitor);
-        if stage == Stage::Measurement {
-            // The last stage has no later one to stop at; the other surface may.
-            continue;
-        }
         assert_eq!(result.unwrap_err(), PipelineError::Cancelled, "{stage:?}");
     }
 }

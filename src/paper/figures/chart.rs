@@ -66,7 +66,7 @@ impl Chart {
     }
 }
 
-/// Round values between two ends, four to nine of them.
+/// Round values between two ends, at most six of them.
 fn ticks((from, to): (f64, f64)) -> Vec<f64> {
     let rough = (to - from) / 5.0;
     let power = 10.0_f64.powf(rough.log10().floor());
