@@ -120,6 +120,11 @@ impl Experiment {
         self.seed_scaled(surface, level, scale)
     }
 
+    /// The initial mesh of a run: of the printed area (outside the border), or bounding it.
+    pub fn start(&self, surface: Surface, level: u32, from_outside: bool) -> Mesh {
+        if from_outside { self.seed_of_printed_area(surface, level) } else { self.seed(surface, level) }
+    }
+
     fn seed_scaled(&self, surface: Surface, level: u32, seed_scale: f64) -> Mesh {
         let mesh = MeshParameters { level, seed_scale, ..Parameters::paper().mesh };
         deform::ellipsoid(&self.border(surface).points, &mesh)

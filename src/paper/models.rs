@@ -118,8 +118,7 @@ pub fn measure_from(from_outside: bool, candidates: &[Candidate]) -> Result<Vec<
     let mut rows = Vec::new();
     for candidate in candidates {
         for surface in Surface::BOTH {
-            let level = candidate.parameters.mesh.level;
-            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let seed = experiment.start(surface, candidate.parameters.mesh.level, from_outside);
             let run = experiment.run_from(seed, surface, flows.get(surface), &candidate.parameters, &mut |_| ())?;
             rows.push(Row { from_outside, candidate: candidate.clone(), surface, run });
         }

@@ -43,7 +43,7 @@ pub fn measure() -> Result<Vec<Reconstructed>, PaperError> {
             parameters.mesh.level = level;
             parameters.deform.smoothing = smoothing;
             parameters.deform.subvoxel = !from_outside;
-            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let seed = experiment.start(surface, level, from_outside);
             let mesh = experiment.run_from(seed, surface, flows.get(surface), &parameters, &mut |_| ())?.evolved.mesh;
             let inverted = mesh.inverted_triangles(mesh.centroid());
             found.push(Reconstructed { surface, way: Way { from_outside, smoothing }, row: Row::of(&mesh), inverted });

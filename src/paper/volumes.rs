@@ -72,8 +72,7 @@ pub fn measure() -> Result<Volumes, PaperError> {
             parameters.deform.solver = solver;
             parameters.deform.time_step_s = printed.time_step_s;
             parameters.deform.subvoxel = subvoxel;
-            let level = parameters.mesh.level;
-            let seed = if from_outside { experiment.seed_of_printed_area(surface, level) } else { experiment.seed(surface, level) };
+            let seed = experiment.start(surface, parameters.mesh.level, from_outside);
             let run = experiment.run_from(seed, surface, &flow, &parameters, &mut |_| ())?;
             let volume_mm3 = run.evolved.mesh.signed_volume_mm3();
             rows.push(Row { parameters, from_outside, volume_mm3, same_level: threshold::level_of_volume(counts, volume_mm3), run });

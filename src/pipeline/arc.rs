@@ -77,13 +77,17 @@ fn arc(grid: &Grid, smooth: &Array3<f32>, centre_mm: DVec2, z_mm: f64, reach_mm:
 }
 
 /// The longest run of nothing around the ring.
-pub(super) fn largest_gap<T>(around: &[Option<T>]) -> usize {
-    let (mut longest, mut run) = (0, 0);
-    for index in 0..2 * around.len() {
-        run = if around[index % around.len()].is_none() { run + 1 } else { 0 };
-        longest = longest.max(run.min(around.len()));
-    }
-    longest
+fn largest_gap<T>(around: &[Option<T>]) -> usize {
+    let missing: Vec<bool> = around.iter().map(Option::is_none).collect();
+    longest_run(&missing).map_or(0, |(_, length)| length)
+}
+
+/// Start and length of the longest run of members around a circle.
+pub(super) fn longest_run(members: &[bool]) -> Option<(usize, usize)> {
+    let count = members.len();
+    let run = |start: usize| (0..count).take_while(|shift| members[(start + shift) % count]).count();
+    // The first of equals, so that a whole circle starts at 0.
+    (0..count).map(|start| (start, run(start))).rev().max_by_key(|(_, length)| *length).filter(|(_, length)| *length > 0)
 }
 
 /// The circle through points by linear least squares (Kåsa 1976): centre and radius.

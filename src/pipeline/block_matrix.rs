@@ -1,14 +1,22 @@
 //! Sparse symmetric matrices of 3 × 3 blocks, a row a particle, and conjugate gradients on them.
 
 use glam::{DMat3, DVec3};
+use std::sync::Arc;
 
 /// A matrix with one 3 × 3 block for each pair of particles in its pattern.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockMatrix {
-    /// Where each row's blocks begin.
-    starts: Vec<usize>,
-    columns: Vec<usize>,
+    /// Where each row's blocks begin; shared, as `columns`, by all matrices of a pattern.
+    starts: Arc<[usize]>,
+    columns: Arc<[usize]>,
     blocks: Vec<DMat3>,
+}
+
+impl Default for BlockMatrix {
+    /// Without rows.
+    fn default() -> Self {
+        Self::zero(&[])
+    }
 }
 
 impl BlockMatrix {
@@ -18,9 +26,9 @@ impl BlockMatrix {
         for row in pattern {
             starts.push(starts[starts.len() - 1] + row.len());
         }
-        let columns: Vec<usize> = pattern.iter().flatten().copied().collect();
+        let columns: Arc<[usize]> = pattern.iter().flatten().copied().collect();
         let blocks = vec![DMat3::ZERO; columns.len()];
-        Self { starts, columns, blocks }
+        Self { starts: starts.into(), columns, blocks }
     }
 
     /// Adds to a block of the pattern.
@@ -35,15 +43,14 @@ impl BlockMatrix {
 
     /// This matrix times a, plus another of the same pattern times b, plus `diagonal` on the diagonal.
     #[must_use]
-    pub fn combined(&self, a: f64, other: &Self, b: f64, diagonal: f64) -> Self {
-        let mut sum = self.clone();
-        for (block, other) in sum.blocks.iter_mut().zip(&other.blocks) {
+    pub fn combined(mut self, a: f64, other: &Self, b: f64, diagonal: f64) -> Self {
+        for (block, other) in self.blocks.iter_mut().zip(&other.blocks) {
             *block = *block * a + *other * b;
         }
-        for row in 0..sum.rows() {
-            sum.add(row, row, DMat3::from_diagonal(DVec3::splat(diagonal)));
+        for row in 0..self.rows() {
+            self.add(row, row, DMat3::from_diagonal(DVec3::splat(diagonal)));
         }
-        sum
+        self
     }
 
     /// The product with a vector.

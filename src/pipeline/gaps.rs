@@ -2,9 +2,10 @@
 
 use super::{
     PerSurface, Surface,
+    arc::longest_run,
     ends::APEX_TO_BASE,
     region::Extent,
-    rings::{Radii, Rings, SECTORS, spanned},
+    rings::{Rings, SECTORS, seen_sectors},
 };
 use crate::study::{Affected, AffectedArc, Orientation, Warning};
 use glam::DVec3;
@@ -40,7 +41,8 @@ pub struct Unseen {
 pub(super) fn largest(rings: &Rings, extent: &Extent, pixel_mm: f64) -> Option<Gap> {
     let with_ring = || (0..rings.radius_mm.len()).filter(|&slice| rings.radius_mm[slice].is_some());
     let (first, last) = (with_ring().min()?, with_ring().max()?);
-    let missing: Vec<[bool; SECTORS]> = (first..=last).map(|slice| missing(&rings.radii(extent, slice), pixel_mm)).collect();
+    let missing: Vec<[bool; SECTORS]> =
+        (first..=last).map(|slice| seen_sectors(&rings.radii(extent, slice), pixel_mm).map(|seen| !seen)).collect();
     let largest = regions(&missing).into_iter().max_by_key(Vec::len)?;
     // A sector belongs to the gap where it is missing in half of the gap's slices.
     let (low, high) = largest.iter().fold((usize::MAX, 0), |(low, high), &(slice, _)| (low.min(slice), high.max(slice)));
@@ -52,18 +54,6 @@ pub(super) fn largest(rings: &Rings, extent: &Extent, pixel_mm: f64) -> Option<G
     let in_run = |sector: usize| (sector + SECTORS - start) % SECTORS < length;
     let affected = || (low..=high).filter(|&slice| 2 * largest.iter().filter(|cell| cell.0 == slice && in_run(cell.1)).count() >= length);
     Some(Gap { slices: [first + affected().min()?, first + affected().max()?], sectors: [start, length] })
-}
-
-/// The sectors of a slice that no border pixel spans.
-fn missing(radii: &Radii, pixel_mm: f64) -> [bool; SECTORS] {
-    let mut missing = [true; SECTORS];
-    for (sector, radius_mm) in radii.iter().enumerate().filter_map(|(sector, radius)| radius.map(|radius_mm| (sector, radius_mm))) {
-        let reach = spanned(radius_mm, pixel_mm);
-        for shift in 0..=2 * reach {
-            missing[(sector + SECTORS + shift - reach) % SECTORS] = false;
-        }
-    }
-    missing
 }
 
 /// Connected regions of missing cells `(slice, sector)`; sectors go round.
@@ -87,13 +77,6 @@ fn regions(missing: &[[bool; SECTORS]]) -> Vec<Vec<(usize, usize)>> {
         }
     }
     regions
-}
-
-/// Start and length of the longest run around the circle.
-fn longest_run(members: &[bool; SECTORS]) -> Option<(usize, usize)> {
-    let run = |start: usize| (0..SECTORS).take_while(|shift| members[(start + shift) % SECTORS]).count();
-    // The first of equals, so that a whole circle starts at sector 0.
-    (0..SECTORS).map(|start| (start, run(start))).rev().max_by_key(|(_, length)| *length).filter(|(_, length)| *length > 0)
 }
 
 /// The warnings of one gate: at most one for each surface.

@@ -102,8 +102,8 @@ fn implicit_euler(from: &Particles, h: f64, dynamics: &Dynamics<'_>) -> Particle
     let inertia = dynamics.mass * (1.0 + h * dynamics.drag_per_s);
     for curvature in [Curvature::Whole, Curvature::Convex] {
         let (stiffness, damping) = dynamics.internal.derivatives(from, dynamics.fixed, curvature);
-        let matrix = stiffness.combined(h * h, &damping, h, inertia);
         let ahead = stiffness.times(&from.velocities);
+        let matrix = stiffness.combined(h * h, &damping, h, inertia);
         let right: Vec<DVec3> = forces.iter().zip(ahead).map(|(force, ahead)| (force - ahead * h) * h).collect();
         if let Ok(change) = solve(&matrix, &right, dynamics.fixed, IMPLICIT_TOLERANCE, IMPLICIT_ITERATIONS) {
             let velocities: Vec<DVec3> = from.velocities.iter().zip(change).map(|(velocity, change)| velocity + change).collect();

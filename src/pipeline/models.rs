@@ -19,13 +19,13 @@ pub struct Internal {
     stretches: Vec<Bound<3, Stretch>>,
     shears: Vec<Bound<3, Shear>>,
     bends: Vec<Bound<4, Bend>>,
-    stretch: Constants,
-    shear: Constants,
-    bend: Constants,
+    stretch: Stiffness,
+    shear: Stiffness,
+    bend: Stiffness,
     /// The part of the springs' force that acts, if not all of it.
     restricted: Option<SpringDirection>,
-    /// The particles that share a condition with each particle, itself included, ascending: the pattern of the stiffness matrix.
-    pattern: Vec<Vec<usize>>,
+    /// Zero, with a block for each pair of particles that share a condition: what the matrices of every step start from.
+    zero: BlockMatrix,
 }
 
 /// A condition and the particles it is about.
@@ -33,19 +33,6 @@ pub struct Internal {
 struct Bound<const N: usize, C> {
     particles: [usize; N],
     condition: C,
-}
-
-/// Spring constant and damping of one kind of condition.
-#[derive(Debug, Clone, Copy, Default)]
-struct Constants {
-    k: f64,
-    kd: f64,
-}
-
-impl From<Stiffness> for Constants {
-    fn from(Stiffness { k, kd }: Stiffness) -> Self {
-        Self { k, kd }
-    }
 }
 
 /// Which second derivatives of the conditions enter the stiffness matrix.
@@ -60,7 +47,7 @@ pub enum Curvature {
 impl Internal {
     /// The forces of a model on a mesh that is undeformed as it is.
     pub fn new(deform: &DeformParameters, rest: &Mesh) -> Self {
-        let mut all = Self { stretch: deform.stretch.into(), shear: deform.shear.into(), bend: deform.bend.into(), ..Self::default() };
+        let mut all = Self { stretch: deform.stretch, shear: deform.shear, bend: deform.bend, ..Self::default() };
         match deform.model {
             Model::Free => {}
             Model::SpringMass => all.springs = springs(rest),
@@ -78,7 +65,7 @@ impl Internal {
                 all.bends = bends(rest);
             }
         }
-        all.pattern = all.joined(rest.positions.len());
+        all.zero = BlockMatrix::zero(&all.joined(rest.positions.len()));
         all
     }
 
@@ -86,8 +73,8 @@ impl Internal {
     #[cfg(test)]
     pub(super) fn of_springs(count: usize, springs: &[([usize; 2], f64)], stiffness: Stiffness) -> Self {
         let springs = springs.iter().map(|&(particles, rest_mm)| Bound { particles, condition: Spring { rest_mm } }).collect();
-        let mut all = Self { springs, stretch: stiffness.into(), ..Self::default() };
-        all.pattern = all.joined(count);
+        let mut all = Self { springs, stretch: stiffness, ..Self::default() };
+        all.zero = BlockMatrix::zero(&all.joined(count));
         all
     }
 
@@ -117,7 +104,7 @@ impl Internal {
     /// −∂f/∂x and −∂f/∂v. Of the damping's own change with the places only the symmetric part is kept, as Baraff & Witkin do (§4.5): with
     /// the other one conjugate gradients could not be used.
     pub fn derivatives(&self, at: &Particles, fixed: &[bool], curvature: Curvature) -> (BlockMatrix, BlockMatrix) {
-        let (mut stiffness, mut damping) = (BlockMatrix::zero(&self.pattern), BlockMatrix::zero(&self.pattern));
+        let (mut stiffness, mut damping) = (self.zero.clone(), self.zero.clone());
         let lengths = |tension: f64| if curvature == Curvature::Whole { tension } else { tension.max(0.0) };
         let others = |tension: f64| if curvature == Curvature::Whole { tension } else { 0.0 };
         let both = (&mut stiffness, &mut damping);
@@ -128,6 +115,7 @@ impl Internal {
         (stiffness, damping)
     }
 
+    /// The particles that share a condition with each particle, itself included, ascending.
     fn joined(&self, particles: usize) -> Vec<Vec<usize>> {
         let mut joined: Vec<Vec<usize>> = (0..particles).map(|particle| vec![particle]).collect();
         let mut join = |group: &[usize]| {
@@ -177,7 +165,7 @@ fn bends(rest: &Mesh) -> Vec<Bound<4, Bend>> {
 
 fn add_forces<const N: usize, C: Condition<N>>(
     bound: &[Bound<N, C>],
-    constants: Constants,
+    constants: Stiffness,
     at: &Particles,
     fixed: &[bool],
     forces: &mut [DVec3],
@@ -200,7 +188,7 @@ fn moves(particles: &[usize], fixed: &[bool]) -> bool {
 /// `curved` turns the tension k C + kd Ċ into the factor of the second derivatives.
 fn add_derivatives<const N: usize, C: Condition<N>>(
     bound: &[Bound<N, C>],
-    constants: Constants,
+    constants: Stiffness,
     (at, fixed): (&Particles, &[bool]),
     curved: impl Fn(f64) -> f64,
     (stiffness, damping): (&mut BlockMatrix, &mut BlockMatrix),

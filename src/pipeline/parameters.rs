@@ -156,7 +156,7 @@ pub struct DeformParameters {
 }
 
 /// A spring constant and its damping.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
     /// Spring constant, force a unit of the condition (mm; radians for bend).

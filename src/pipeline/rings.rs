@@ -45,8 +45,8 @@ const OUTLIER_PIXELS: f64 = 1.25;
 /// A border's radius in mm in each sector of a slice.
 pub(super) type Radii = [Option<f64>; SECTORS];
 
-/// The part of a circumference that meets border: a pixel hides all the sectors that it spans.
-fn seen_part(radii: &Radii, pixel_mm: f64) -> f64 {
+/// The sectors of a circumference that meet border: a pixel hides all the sectors that it spans.
+pub(super) fn seen_sectors(radii: &Radii, pixel_mm: f64) -> [bool; SECTORS] {
     let mut seen = [false; SECTORS];
     for (sector, radius) in radii.iter().enumerate() {
         let Some(radius_mm) = radius else { continue };
@@ -55,11 +55,16 @@ fn seen_part(radii: &Radii, pixel_mm: f64) -> f64 {
             seen[(sector + SECTORS + shift - reach) % SECTORS] = true;
         }
     }
-    seen.iter().filter(|&&seen| seen).count() as f64 / SECTORS as f64
+    seen
+}
+
+/// The part of a circumference that meets border.
+fn seen_part(radii: &Radii, pixel_mm: f64) -> f64 {
+    seen_sectors(radii, pixel_mm).iter().filter(|&&seen| seen).count() as f64 / SECTORS as f64
 }
 
 /// Sectors that a pixel spans on either side of its own.
-pub(super) fn spanned(radius_mm: f64, pixel_mm: f64) -> usize {
+fn spanned(radius_mm: f64, pixel_mm: f64) -> usize {
     ((pixel_mm / radius_mm.max(pixel_mm / 2.0) * SECTORS as f64 / TAU / 2.0).round() as usize).min(SECTORS / 2)
 }
 

@@ -342,7 +342,8 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
     let mut warnings = Vec::new();
     let mut converged = Vec::new();
     for gate in gates {
-        for (surface, fit) in [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)] {
+        let fits = [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)];
+        for (surface, fit) in fits {
             let within = fit.within_one_voxel_percent / 100.0;
             converged.push(within);
             if within < limits.within_one_voxel {
@@ -351,7 +352,7 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
                 warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
             }
         }
-        for (surface, fit) in [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)] {
+        for (surface, fit) in fits {
             if fit.stop == Stop::StepLimit {
                 let text =
                     format!("The {} surface had not come to rest after {} steps, the most that were allowed.", surface.name(), fit.steps);
