@@ -48,7 +48,7 @@ pub fn wall(study: &Study, reconstruction: &Reconstruction, gate: usize) -> Resu
     let diastole = end_diastole(reconstruction).unwrap_or(shown).wall().filter(|other| other.positions.len() == points.len());
     let diastole = diastole.ok_or(ExportError::Topology { gate: gate + 1, surface: Surface::Endocardial })?;
     let displacements: Vec<DVec3> = diastole.positions.iter().zip(&points).map(|(&from, to)| to - frame.mm(from)).collect();
-    let thickness = Thickness::of(shown, reconstruction.region.base_at_last_slice);
+    let thickness = Thickness::of(shown, reconstruction.to_base);
     let inner_count = shown.fits.endocardial.mesh.positions.len();
 
     let mut file = File(String::new());

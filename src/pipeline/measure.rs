@@ -1,6 +1,6 @@
 //! What is measured on the fitted surfaces, and what is refused.
 
-use super::{Fit, GateReconstruction, PipelineError, Surface, borders::Border, deform::Evolved, gvf::Flow};
+use super::{Evolution, Fit, GateReconstruction, PipelineError, Surface, borders::Border, deform::Evolved, gvf::Flow};
 use crate::volume::Grid;
 use glam::DVec3;
 
@@ -30,13 +30,15 @@ pub fn fit(
     Ok(Fit {
         mesh: evolved.mesh,
         steps: evolved.steps,
-        stop: evolved.stop,
-        frozen: evolved.frozen,
-        within_one_voxel,
-        mean_distance_mm: mean_mm,
-        gvf_residual: flow.residual,
-        gvf_iterations: flow.iterations,
-        trace: evolved.trace,
+        evolution: Some(Evolution {
+            stop: evolved.stop,
+            frozen: evolved.frozen,
+            within_one_voxel,
+            mean_distance_mm: mean_mm,
+            gvf_residual: flow.residual,
+            gvf_iterations: flow.iterations,
+            trace: evolved.trace,
+        }),
     })
 }
 

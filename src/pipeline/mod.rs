@@ -8,6 +8,7 @@ mod axis;
 pub mod block_matrix;
 pub mod borders;
 pub mod canny;
+pub mod clinical;
 pub mod conditions;
 pub mod deform;
 mod ends;
@@ -18,8 +19,10 @@ pub mod integrate;
 pub mod measure;
 pub mod models;
 pub mod monitor;
+mod paper;
 pub mod parameters;
 mod plain;
+pub mod pose;
 pub mod region;
 pub mod rest;
 mod rings;
@@ -31,16 +34,13 @@ pub mod wall;
 use crate::{
     mesh::{Mesh, wall::Wall},
     study::{Study, Warning},
-    volume::{Grid, Volume},
 };
-use borders::Borders;
-use gvf::Flow;
+use clinical::ModelFit;
+use glam::DVec3;
 use monitor::{Monitor, Stage};
-use parameters::{Parameters, Seed};
-use rayon::prelude::*;
-use region::Extent;
+use parameters::{Parameters, Preset};
+use pose::Pose;
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The two surfaces of the ventricular wall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -94,8 +94,15 @@ impl<T> PerSurface<T> {
 pub struct Fit {
     /// The surface in grid mm.
     pub mesh: Mesh,
-    /// Time steps until all particles were frozen or the evolution was ended.
+    /// Time steps of the deformable model, or Gauss-Newton steps of the clinical preset's model.
     pub steps: usize,
+    /// How a deformable model got there; `None` where none ran (the clinical preset).
+    pub evolution: Option<Evolution>,
+}
+
+/// How a deformable model reached its border.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evolution {
     /// What ended the evolution.
     pub stop: rest::Stop,
     /// Fraction of particles that froze on the border, 0-1.
@@ -161,8 +168,14 @@ pub struct Region {
 pub struct Reconstruction {
     /// One result a gate of the study, in order.
     pub gates: Vec<GateReconstruction>,
-    /// Where the ventricle was found.
-    pub region: Region,
+    /// Where the slices cut the ventricle; `None` where they do not cut it across.
+    pub region: Option<Region>,
+    /// Unit vector from apex to base in the grid.
+    pub to_base: DVec3,
+    /// Where the ventricle lies, however the slices lie (clinical preset).
+    pub pose: Option<Pose>,
+    /// What the model of the camera says of the study (clinical preset).
+    pub model: Option<ModelFit>,
     /// The parameters used.
     pub parameters: Parameters,
     /// What the reader should know.
@@ -243,130 +256,17 @@ impl PipelineError {
     }
 }
 
-/// Reconstructs every gate of a study.
-///
-/// The steps of the paper's section 8: the region, then for every gate Canny edges, borders, gradient vector flow, the
-/// evolution of both surfaces, and the order of the wall between them. Gates run in parallel on the caller's rayon pool, the evolutions one
-/// after the other where each starts from the gate before ([`Seed::PreviousGate`]); nothing is reduced across them in parallel.
+/// Reconstructs every gate of a study, by the method of the preset.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    reconstruct_cycle(study, parameters, monitor).map_err(|error| error.for_want_of_short_axis(study))
-}
-
-fn reconstruct_cycle(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    let (location, extents) = observed(monitor, Stage::Region, None, || {
-        let location = region::locate(study, &parameters.region)?;
-        let extents = location.extents(study);
-        Ok((location, extents))
-    })?;
-    let found = study
-        .gates
-        .par_iter()
-        .enumerate()
-        .map(|(gate, counts)| find_borders(gate, &counts.volume, &extents[gate], parameters, monitor))
-        .collect::<Vec<_>>();
-    let found = first_error(found)?;
-    let gates = evolve_cycle(study, &found, parameters, monitor)?;
-    let mut warnings = location.warnings();
-    let region = location.region(&study.grid);
-    let unseen = |(gate, borders): (usize, &Borders)| {
-        gaps::warnings(gate + 1, &borders.coverage, &borders.unseen, study.orientation.as_ref(), region.base_at_last_slice)
-    };
-    warnings.extend(found.iter().enumerate().flat_map(unseen));
-    warnings.extend(gates.iter().enumerate().filter_map(|(gate, result)| wall::warning(gate + 1, &result.wall_order)));
-    Ok(Reconstruction { gates, region, parameters: parameters.clone(), warnings })
+    match parameters.preset {
+        Preset::Clinical => clinical::reconstruct(study, parameters, monitor),
+        Preset::Paper => paper::reconstruct(study, parameters, monitor).map_err(|error| error.for_want_of_short_axis(study)),
+    }
 }
 
 /// All results, or of several failures the first gate's, whichever thread was first.
 fn first_error<T>(results: Vec<Result<T, PipelineError>>) -> Result<Vec<T>, PipelineError> {
     results.into_iter().collect()
-}
-
-/// Both borders of a gate, each fit to carry a surface.
-fn find_borders(
-    gate: usize,
-    counts: &Volume,
-    extent: &Extent,
-    parameters: &Parameters,
-    monitor: &dyn Monitor,
-) -> Result<Borders, PipelineError> {
-    let in_gate = Some(gate);
-    let gradient = observed(monitor, Stage::Edges, in_gate, || Ok(canny::gradient(counts, &extent.known, &parameters.edges)))?;
-    let borders = observed(monitor, Stage::Borders, in_gate, || Ok(borders::borders(&gradient, extent, parameters)))?;
-    for surface in Surface::BOTH {
-        borders::check(gate + 1, surface, borders.found.get(surface))?;
-    }
-    Ok(borders)
-}
-
-/// Draws the meshes of every gate to their borders. Gates run in parallel unless each starts from the one before.
-fn evolve_cycle(
-    study: &Study,
-    borders: &[Borders],
-    parameters: &Parameters,
-    monitor: &dyn Monitor,
-) -> Result<Vec<GateReconstruction>, PipelineError> {
-    let total = borders.len();
-    let done = AtomicUsize::new(0);
-    monitor.advance(0, total);
-    let ellipsoids = |of: &[Borders]| {
-        PerSurface::of(|surface| deform::ellipsoid(of.iter().flat_map(|gate| &gate.found.get(surface).points), &parameters.mesh))
-    };
-    let evolve = |gate: usize, seeds: PerSurface<Mesh>| {
-        let result = evolve_gate(gate, &study.grid, &borders[gate], seeds, parameters, monitor);
-        monitor.advance(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        result
-    };
-    let own = |gate: usize| ellipsoids(&borders[gate..=gate]);
-    match parameters.mesh.seed {
-        Seed::OwnEllipsoid => first_error((0..total).into_par_iter().map(|gate| evolve(gate, own(gate))).collect()),
-        Seed::CommonEllipsoid => {
-            let common = ellipsoids(borders);
-            first_error((0..total).into_par_iter().map(|gate| evolve(gate, common.clone())).collect())
-        }
-        Seed::PreviousGate => {
-            let mut gates: Vec<GateReconstruction> = Vec::with_capacity(total);
-            for gate in 0..total {
-                let seeds = gates.last().map_or_else(|| own(gate), |last| PerSurface::of(|surface| last.fits.get(surface).mesh.clone()));
-                gates.push(evolve(gate, seeds)?);
-            }
-            Ok(gates)
-        }
-    }
-}
-
-fn evolve_gate(
-    gate: usize,
-    grid: &Grid,
-    borders: &Borders,
-    seeds: PerSurface<Mesh>,
-    parameters: &Parameters,
-    monitor: &dyn Monitor,
-) -> Result<GateReconstruction, PipelineError> {
-    let in_gate = Some(gate);
-    let evolve = |surface: Surface, seed: Mesh| {
-        let border = borders.found.get(surface);
-        let flow = observed(monitor, Stage::GradientVectorFlow, in_gate, || gvf::flow(grid, border, &parameters.gvf, monitor))?;
-        let setting = deform::Setting { grid, border, flow: &flow, parameters, monitor };
-        let evolved = observed(monitor, Stage::Deformation, in_gate, || deform::evolve(seed, &setting, &mut |_| ()))?;
-        Ok((evolved, flow))
-    };
-    let (inner, outer) = rayon::join(|| evolve(Surface::Endocardial, seeds.endocardial), || evolve(Surface::Epicardial, seeds.epicardial));
-    let ((mut inner, inner_flow), (mut outer, outer_flow)) = (inner?, outer?);
-    let wall_order = observed(monitor, Stage::Wall, in_gate, || Ok(wall::order(&mut inner.mesh, &mut outer.mesh)))?;
-    let result = observed(monitor, Stage::Measurement, in_gate, || {
-        let swings = !parameters.deform.freezing;
-        let fit =
-            |surface, evolved, flow: &Flow| measure::fit((gate + 1, surface), evolved, borders.found.get(surface), flow, grid, swings);
-        let fits = PerSurface {
-            endocardial: fit(Surface::Endocardial, inner, &inner_flow)?,
-            epicardial: fit(Surface::Epicardial, outer, &outer_flow)?,
-        };
-        Ok(GateReconstruction { fits, wall_order })
-    })?;
-    if parameters.deform.freezing {
-        measure::check(gate + 1, &result)?;
-    }
-    Ok(result)
 }
 
 /// Runs a stage between its announcements.

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
+    /// Finding the ventricle in any orientation (once a study; clinical preset).
+    Localisation,
     /// Finding the useful slices, the centre and the filtering circle (once a study).
     Region,
     /// The gradient of the counts that edges are found in, by Canny's operator or the plain one.
@@ -17,6 +19,10 @@ pub enum Stage {
     GradientVectorFlow,
     /// The evolution of both deformable meshes.
     Deformation,
+    /// Surfaces at the gradient's extrema along rays across the wall (clinical preset).
+    Rays,
+    /// Fitting the model of the camera to all gates at once (clinical preset).
+    ModelFit,
     /// Putting the wall between both surfaces in order.
     Wall,
     /// Volumes, distances, checks.
@@ -25,17 +31,30 @@ pub enum Stage {
 
 impl Stage {
     /// All stages in the order they run.
-    pub const ALL: [Self; 7] =
-        [Self::Region, Self::Edges, Self::Borders, Self::GradientVectorFlow, Self::Deformation, Self::Wall, Self::Measurement];
+    pub const ALL: [Self; 10] = [
+        Self::Localisation,
+        Self::Region,
+        Self::Edges,
+        Self::Borders,
+        Self::GradientVectorFlow,
+        Self::Deformation,
+        Self::Rays,
+        Self::ModelFit,
+        Self::Wall,
+        Self::Measurement,
+    ];
 
     /// The name used in JSON, metrics and logs.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Localisation => "localisation",
             Self::Region => "region",
             Self::Edges => "edges",
             Self::Borders => "borders",
             Self::GradientVectorFlow => "gradient_vector_flow",
             Self::Deformation => "deformation",
+            Self::Rays => "rays",
+            Self::ModelFit => "model_fit",
             Self::Wall => "wall",
             Self::Measurement => "measurement",
         }

@@ -11,6 +11,9 @@ pub struct Parameters {
     pub preset: Preset,
     /// The paper's manual marks (§8, steps 1 and 2); each one estimated where absent.
     pub region: RegionMarks,
+    /// The ends of the long axis; each one estimated where absent (clinical preset).
+    #[serde(default)]
+    pub pose: PoseMarks,
     /// Edge detection (§7.1).
     pub edges: EdgeParameters,
     /// Gradient vector flow (§5).
@@ -19,12 +22,17 @@ pub struct Parameters {
     pub mesh: MeshParameters,
     /// The deformable model and its solver (§3, §4).
     pub deform: DeformParameters,
+    /// The model of the camera (clinical preset).
+    #[serde(default)]
+    pub refine: RefineParameters,
 }
 
 /// A named set of defaults.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
+    /// Borders at sub-voxel precision along the ventricle's own axes, refined by a model of how the camera blurs the wall.
+    Clinical,
     /// García & Susín's method as printed.
     Paper,
 }
@@ -41,6 +49,53 @@ pub struct RegionMarks {
     pub first_slice: Option<usize>,
     /// Last useful slice, counted from 1.
     pub last_slice: Option<usize>,
+}
+
+/// Ends of the long axis a user gives, in grid mm `[x, y, z]`; what is absent is estimated from the counts.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseMarks {
+    /// The tip of the ventricle, in the middle of the wall.
+    pub apex_mm: Option<[f64; 3]>,
+    /// Where the long axis meets the valve plane.
+    pub base_mm: Option<[f64; 3]>,
+}
+
+/// The model of the camera that surfaces are fitted with (`docs/numerics.md`). All but the first two are there to be measured: what each
+/// is worth is the ablation table of `docs/accuracy.md`.
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of the published parameters")]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RefineParameters {
+    /// Whether the gradient's surfaces are refined at all.
+    pub enabled: bool,
+    /// Full width at half maximum of the camera's point-spread function in mm; estimated where absent.
+    pub psf_fwhm_mm: Option<f64>,
+    /// Whether the valve plane may tilt against the long axis.
+    pub base_tilt: bool,
+    /// Whether the wall's volume is held nearly constant over the cycle.
+    pub wall_conservation: bool,
+    /// Whether neighbouring gates are held together in time.
+    pub temporal_prior: bool,
+    /// Whether shape and thickness are held to a smooth ventricle where the wall takes up little.
+    pub shape_prior: bool,
+    /// Whether the wall's uptake may vary.
+    pub uptake_map: bool,
+}
+
+impl Default for RefineParameters {
+    /// Everything on, the point-spread function estimated.
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            psf_fwhm_mm: None,
+            base_tilt: true,
+            wall_conservation: true,
+            temporal_prior: true,
+            shape_prior: true,
+            uptake_map: true,
+        }
+    }
 }
 
 /// Parameters of the edge detector.
@@ -204,11 +259,18 @@ pub enum Solver {
 }
 
 impl Parameters {
+    /// The clinical preset: of the paper's values only the mesh is used.
+    pub fn clinical() -> Self {
+        Self { preset: Preset::Clinical, ..Self::paper() }
+    }
+
     /// The paper's values.
     pub fn paper() -> Self {
         Self {
             preset: Preset::Paper,
             region: RegionMarks::default(),
+            pose: PoseMarks::default(),
+            refine: RefineParameters::default(),
             // §7.1: "1.8 for the Gaussian, 0.3 for the low threshold and 0.8 for the high threshold".
             // The paper leaves the ends open; its meshes then fall in at the base (`docs/numerics.md`).
             edges: EdgeParameters {

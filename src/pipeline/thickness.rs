@@ -4,7 +4,7 @@
 //! the usual definitions it is the one that needs no correspondence across the wall; it takes the shortest way.
 //!
 //! In the valve plane both surfaces end in a lid that no wall stands behind. A vertex faces the base where its outward normal is within 45° of
-//! the direction of the stack that leads to the base; the lid's height is the median of the vertices that do. To the lid belong the
+//! the direction that leads from apex to base; the lid's height is the median of the vertices that do. To the lid belong the
 //! vertices that face the base and those that reach to less than 4 mm below that height: the rim, and what is crumpled in the lid.
 //! Triangles that touch the other surface's lid are not part of its wall. At vertices of the lid itself the distance is to the whole
 //! other surface, nominal and near zero. Just below the rim of a wall that leans inwards the closest point would lie beyond the valve plane;
@@ -43,11 +43,10 @@ pub struct ThicknessRange {
 }
 
 impl Thickness {
-    /// The thickness of a gate's wall; `base_at_last_slice` is [`super::Region::base_at_last_slice`].
-    pub fn of(gate: &GateReconstruction, base_at_last_slice: bool) -> Self {
-        let base = if base_at_last_slice { DVec3::Z } else { DVec3::NEG_Z };
+    /// The thickness of a gate's wall; `to_base` is [`super::Reconstruction::to_base`].
+    pub fn of(gate: &GateReconstruction, to_base: DVec3) -> Self {
         let mesh = |surface: Surface| &gate.fits.get(surface).mesh;
-        let in_lid = PerSurface::of(|surface| lid(mesh(surface), base));
+        let in_lid = PerSurface::of(|surface| lid(mesh(surface), to_base));
         let mm = PerSurface::of(|surface| {
             let other = match surface {
                 Surface::Endocardial => Surface::Epicardial,

@@ -16,23 +16,28 @@ pub struct SurfaceFits {
     pub epicardial: FitSummary,
 }
 
-/// How a surface was reached. Says how far the evolution converged on the detected border, not how right the border is.
+/// How a surface was reached. Says how far the evolution converged on the detected border, not how right the border is. With the preset
+/// `clinical` no deformable model runs, and what belongs to it is null.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FitSummary {
     /// Particles less than one voxel from the border, in percent.
-    pub within_one_voxel_percent: f64,
+    #[schema(required)]
+    pub within_one_voxel_percent: Option<f64>,
     /// Mean distance of the particles to the nearest border voxel, in mm.
-    pub mean_distance_mm: f64,
-    /// Time steps of the deformable model.
+    #[schema(required)]
+    pub mean_distance_mm: Option<f64>,
+    /// Time steps of the deformable model, or with the preset `clinical` Gauss-Newton steps of the model.
     pub steps: usize,
     /// What ended the evolution: `all_frozen` (every particle stopped on the border), `at_rest` (the others no longer get anywhere) or
     /// `step_limit` (`max_steps` taken).
-    #[schema(value_type = String, example = "all_frozen")]
-    pub stop: Stop,
+    #[schema(value_type = Option<String>, required, example = "all_frozen")]
+    pub stop: Option<Stop>,
     /// Particles that froze on the border, in percent.
-    pub frozen_percent: f64,
+    #[schema(required)]
+    pub frozen_percent: Option<f64>,
     /// The solve of the field the particles followed.
-    pub gvf: GvfSummary,
+    #[schema(required)]
+    pub gvf: Option<GvfSummary>,
     /// Size and shape of the triangles.
     pub triangles: TriangleSummary,
     /// Distance of particles to the border over time; only with `deform.record_distances`.
@@ -93,15 +98,16 @@ pub struct ParticleDistances {
 
 impl From<&Fit> for FitSummary {
     fn from(fit: &Fit) -> Self {
+        let evolution = fit.evolution.as_ref();
         Self {
-            within_one_voxel_percent: 100.0 * fit.within_one_voxel,
-            mean_distance_mm: fit.mean_distance_mm,
+            within_one_voxel_percent: evolution.map(|it| 100.0 * it.within_one_voxel),
+            mean_distance_mm: evolution.map(|it| it.mean_distance_mm),
             steps: fit.steps,
-            stop: fit.stop,
-            frozen_percent: 100.0 * fit.frozen,
-            gvf: GvfSummary { residual: fit.gvf_residual, iterations: fit.gvf_iterations },
+            stop: evolution.map(|it| it.stop),
+            frozen_percent: evolution.map(|it| 100.0 * it.frozen),
+            gvf: evolution.map(|it| GvfSummary { residual: it.gvf_residual, iterations: it.gvf_iterations }),
             triangles: fit.mesh.quality().into(),
-            distances: fit.trace.as_ref().map(DistanceTrace::from),
+            distances: evolution.and_then(|it| it.trace.as_ref()).map(DistanceTrace::from),
         }
     }
 }

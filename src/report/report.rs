@@ -8,6 +8,7 @@ use crate::{
     pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
     study::{Affected, AffectedArc, Format, Study, Warning},
 };
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -51,8 +52,9 @@ pub struct Report {
     pub gates: Vec<GateReport>,
     /// The wall between the surfaces.
     pub myocardium: Myocardium,
-    /// Where the ventricle was looked for.
-    pub region: RegionSummary,
+    /// Where the slices cut the ventricle; null where they do not cut it across (long-axis or transaxial slices).
+    #[schema(required)]
+    pub region: Option<RegionSummary>,
     /// How far the result can be relied on, as far as the computation itself can tell.
     pub quality: Quality,
     /// The parameters used, each with its value.
@@ -255,9 +257,8 @@ pub struct Timing {
 
 /// The report of a reconstruction; `id` is the reconstruction's.
 pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
-    let base_at_last_slice = reconstruction.region.base_at_last_slice;
     let gates: Vec<GateReport> =
-        (1..).zip(&reconstruction.gates).map(|(number, gate)| gate_report(number, gate, base_at_last_slice)).collect();
+        (1..).zip(&reconstruction.gates).map(|(number, gate)| gate_report(number, gate, reconstruction.to_base)).collect();
     let myocardium = myocardium(&gates);
     let (quality, flagged) = assess(&gates, &myocardium, &QUALITY_LIMITS);
     Report {
@@ -267,7 +268,7 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &
         study: study_summary(study),
         function: Function::of_cavity(&gates.iter().map(|gate| gate.endocardial_ml).collect::<Vec<_>>()),
         myocardium,
-        region: reconstruction.region.into(),
+        region: reconstruction.region.map(RegionSummary::from),
         quality,
         parameters: reconstruction.parameters.clone(),
         warnings: study.warnings.iter().chain(&reconstruction.warnings).chain(&flagged).map(Remark::from).collect(),
@@ -290,13 +291,13 @@ fn study_summary(study: &Study) -> StudySummary {
     }
 }
 
-fn gate_report(number: usize, gate: &GateReconstruction, base_at_last_slice: bool) -> GateReport {
+fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3) -> GateReport {
     GateReport {
         gate: number,
         endocardial_ml: gate.volume_ml(Surface::Endocardial),
         epicardial_ml: gate.volume_ml(Surface::Epicardial),
         myocardial_ml: gate.myocardial_ml(),
-        wall: WallSummary::of(gate, base_at_last_slice),
+        wall: WallSummary::of(gate, to_base),
         fit: SurfaceFits { endocardial: (&gate.fits.endocardial).into(), epicardial: (&gate.fits.epicardial).into() },
     }
 }
@@ -344,16 +345,17 @@ fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits)
     for gate in gates {
         let fits = [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)];
         for (surface, fit) in fits {
-            let within = fit.within_one_voxel_percent / 100.0;
+            let Some(percent) = fit.within_one_voxel_percent else { continue };
+            let within = percent / 100.0;
             converged.push(within);
             if within < limits.within_one_voxel {
-                let (name, percent) = (surface.name(), fit.within_one_voxel_percent);
+                let name = surface.name();
                 let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
                 warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
             }
         }
         for (surface, fit) in fits {
-            if fit.stop == Stop::StepLimit {
+            if fit.stop == Some(Stop::StepLimit) {
                 let text =
                     format!("The {} surface had not come to rest after {} steps, the most that were allowed.", surface.name(), fit.steps);
                 warnings.push(Warning::at_gate(gate.gate, "step_limit", text));

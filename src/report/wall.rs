@@ -8,6 +8,7 @@ use crate::{
         thickness::{self, Thickness},
     },
 };
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -35,10 +36,10 @@ pub struct WallSummary {
 }
 
 impl WallSummary {
-    /// Of a gate; `base_at_last_slice` tells on which side its valve plane is.
-    pub(super) fn of(gate: &GateReconstruction, base_at_last_slice: bool) -> Self {
+    /// Of a gate; `to_base` is the direction from apex to base.
+    pub(super) fn of(gate: &GateReconstruction, to_base: DVec3) -> Self {
         let wall = gate.wall();
-        let range = Thickness::of(gate, base_at_last_slice).range();
+        let range = Thickness::of(gate, to_base).range();
         Self {
             tetrahedra: wall.as_ref().map_or(0, |wall| wall.tetrahedra.len()),
             inverted: wall.as_ref().map_or(0, Wall::inverted),
