@@ -95,7 +95,7 @@ fn what_is_doubtful_is_flagged_and_told_in_a_sentence() {
     let (mut study, mut reconstruction) = beating(8, 2, None);
     study.warnings.push(Warning::new("input_odd", "The input is odd."));
     reconstruction.warnings.push(Warning::at_gate(3, "partial_border", "The border is partial."));
-    reconstruction.gates[2].fits.epicardial.within_one_voxel = 0.5;
+    reconstruction.gates[2].fits.epicardial.evolution.as_mut().unwrap().within_one_voxel = 0.5;
     let swap = &mut reconstruction.gates[4].fits;
     std::mem::swap(&mut swap.endocardial.mesh, &mut swap.epicardial.mesh);
     let report = report::build("x", &study, &reconstruction, &timing());
