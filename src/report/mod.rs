@@ -17,5 +17,5 @@ pub use report::{
     AffectedRegion, AffectedSector, Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, RegionSummary, Remark,
     Report, SCHEMA, Software, StudySummary, Timing, TimingReport, build,
 };
-pub use uncertainty::{ErrorSummary, UncertaintySummary};
+pub use uncertainty::{ErrorSummary, HALF_WIDTH_95, UncertaintySummary};
 pub use wall::WallSummary;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// Half the width of a 95 % interval, in standard errors: the normal distribution's.
-const HALF_WIDTH: f64 = 1.96;
+pub const HALF_WIDTH_95: f64 = 1.96;
 
 /// How uncertain the volumes, the ejection fraction and the mass are: noise of the counts and the uncertain width of the point-spread function,
 /// by the fitted model. What the model does not know of (motion between gates, a wrong pose) is not in it; the flags tell of that. How often
@@ -41,8 +41,8 @@ impl UncertaintySummary {
     pub(super) fn of(errors: &clinical::Uncertainty, function: Option<&Function>, cavity_ml: f64, myocardium: &Myocardium) -> Self {
         let about = |value: f64, standard_error: f64, most: f64| ErrorSummary {
             standard_error,
-            low_95: (value - HALF_WIDTH * standard_error).max(0.0),
-            high_95: (value + HALF_WIDTH * standard_error).min(most),
+            low_95: (value - HALF_WIDTH_95 * standard_error).max(0.0),
+            high_95: (value + HALF_WIDTH_95 * standard_error).min(most),
         };
         Self {
             edv_ml: about(function.map_or(cavity_ml, |function| function.edv_ml), errors.edv_ml, f64::INFINITY),
@@ -56,7 +56,7 @@ impl UncertaintySummary {
 impl ErrorSummary {
     /// Half the width of the 95 % interval, as people write it after ±.
     pub fn half_width_95(&self) -> f64 {
-        HALF_WIDTH * self.standard_error
+        HALF_WIDTH_95 * self.standard_error
     }
 }
 

@@ -1,4 +1,4 @@
-//! The paper preset against exact truth, invariances and real studies.
+//! The paper preset (and where it says so, the clinical one) against exact truth, invariances and real studies.
 //!
 //! Accuracy of volumes is published by the accuracy report, not bounded here: the paper's method loses 25-60 % of a volume to its own blur
 //! (`docs/numerics.md`). What is asserted is convergence, topology, order and what must not change the result.
@@ -266,24 +266,37 @@ fn volumes_without_a_ventricle_are_refused() {
     }
 }
 
-#[test]
-fn a_cancelled_reconstruction_stops_at_the_next_stage() {
-    struct StopAt(Stage, std::sync::atomic::AtomicBool);
-    impl Monitor for StopAt {
-        fn begin(&self, stage: Stage, _gate: Option<usize>) {
-            if stage == self.0 {
-                self.1.store(true, std::sync::atomic::Ordering::Relaxed);
-            }
-        }
-        fn is_cancelled(&self) -> bool {
-            self.1.load(std::sync::atomic::Ordering::Relaxed)
+/// Cancels when a stage begins.
+struct StopAt(Stage, std::sync::atomic::AtomicBool);
+
+impl StopAt {
+    fn beginning_of(stage: Stage) -> Self {
+        Self(stage, std::sync::atomic::AtomicBool::new(false))
+    }
+}
+
+impl Monitor for StopAt {
+    fn begin(&self, stage: Stage, _gate: Option<usize>) {
+        if stage == self.0 {
+            self.1.store(true, std::sync::atomic::Ordering::Relaxed);
         }
     }
+
+    fn is_cancelled(&self) -> bool {
+        self.1.load(std::sync::atomic::Ordering::Relaxed)
+    }
+}
+
+#[test]
+fn a_cancelled_reconstruction_stops_at_the_next_stage() {
     let study = simulated(&beating(2));
     // The last stage has no later one to stop at.
     for stage in PAPER_STAGES.into_iter().filter(|stage| *stage != Stage::Measurement) {
-        let monitor = StopAt(stage, std::sync::atomic::AtomicBool::new(false));
-        let result = reconstruct(&study, &Parameters::paper(), &monitor);
+        let result = reconstruct(&study, &Parameters::paper(), &StopAt::beginning_of(stage));
+        assert_eq!(result.unwrap_err(), PipelineError::Cancelled, "{stage:?}");
+    }
+    for stage in [Stage::Localisation, Stage::Rays, Stage::ModelFit] {
+        let result = reconstruct(&study, &Parameters::clinical(), &StopAt::beginning_of(stage));
         assert_eq!(result.unwrap_err(), PipelineError::Cancelled, "{stage:?}");
     }
 }
