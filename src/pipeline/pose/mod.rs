@@ -6,7 +6,10 @@ use super::{
     parameters::{PoseMarks, RegionMarks},
     region,
 };
-use crate::study::{Study, Warning};
+use crate::{
+    study::{Study, Warning},
+    volume::Grid,
+};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -48,6 +51,40 @@ impl Pose {
     pub fn length_mm(&self) -> f64 {
         self.base_mm.distance(self.apex_mm)
     }
+}
+
+/// Least and largest distance between given ends, in mm: shorter and longer than any ventricle.
+const LEAST_LENGTH_MM: f64 = 25.0;
+const LARGEST_LENGTH_MM: f64 = 140.0;
+
+/// Below this score a pose is uncertain.
+pub const UNCERTAIN_BELOW: f64 = 0.3;
+
+/// Checks that given marks are possible on a grid.
+pub fn check_marks(grid: &Grid, marks: &PoseMarks) -> Result<(), PipelineError> {
+    let fail = |why: String| Err(PipelineError::RegionOutside { why });
+    let [slices, rows, columns] = grid.shape.map(|voxels| (voxels.max(1) - 1) as f64);
+    let reach = DVec3::new(columns, rows, slices) * grid.step_mm();
+    for (name, mark) in [("pose.apex_mm", marks.apex_mm), ("pose.base_mm", marks.base_mm)] {
+        let Some(mark) = mark.map(DVec3::from_array) else { continue };
+        let inside = mark.cmpge(DVec3::ZERO).all() && mark.cmple(reach).all();
+        if !inside {
+            let DVec3 { x, y, z } = mark;
+            let [width, height, depth] = reach.to_array();
+            return fail(format!(
+                "`{name}` is [{x:?}, {y:?}, {z:?}], but the study reaches from [0, 0, 0] to [{width:.1}, {height:.1}, {depth:.1}] mm"
+            ));
+        }
+    }
+    if let (Some(apex), Some(base)) = (marks.apex_mm, marks.base_mm) {
+        let length_mm = DVec3::from_array(apex).distance(DVec3::from_array(base));
+        if !(LEAST_LENGTH_MM..=LARGEST_LENGTH_MM).contains(&length_mm) {
+            return fail(format!(
+                "`pose.apex_mm` and `pose.base_mm` are {length_mm:.1} mm apart; a left ventricle has {LEAST_LENGTH_MM} to {LARGEST_LENGTH_MM} mm"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Finds the ventricle in the sum of a study's gates; marks that are given win.
