@@ -35,7 +35,6 @@ pub(crate) struct Args {
 }
 
 /// Runs the studies and prints what came of them.
-#[expect(clippy::needless_pass_by_value, reason = "every subcommand takes its arguments")]
 pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let methods = methods(&args.methods)?;
     let members: Vec<Member> = family::members()

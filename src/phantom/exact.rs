@@ -97,7 +97,9 @@ fn closed(solid: &Solid, mirrored: bool, place: impl Fn(DVec3) -> DVec3) -> Mesh
     }
     triangles.extend((0..AROUND).map(|step| [middle, at(rings - 1, step), at(rings - 1, step + 1)]));
     if mirrored {
-        triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        for triangle in &mut triangles {
+            triangle.swap(1, 2);
+        }
     }
     Mesh { positions, triangles: triangles.into() }
 }
