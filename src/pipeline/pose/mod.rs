@@ -269,13 +269,18 @@ fn conclude(found: &Found, held: &Held, study: &Study) -> Result<(Pose, Vec<Warn
     if held.tells_ends() {
         return Ok((pose(leader, held, 1.0, true), Vec::new()));
     }
+    // An apex without wall still has a little uptake; behind the valve plane it is darker.
+    let darker = flipped.as_ref().filter(|flipped| {
+        margin < ALIKE_WITHOUT_TIP && !leader.tip_is_seen() && !flipped.tip_is_seen() && flipped.evidence.behind < leader.evidence.behind
+    });
+    let (leader, other) = darker.map_or((leader, flipped.as_ref()), |flipped| (flipped, Some(leader)));
     // Without a tip the margin says little: half a ventricle's wall looks much the same from both ends.
     if margin >= if leader.tip_is_seen() { ALIKE } else { ALIKE_WITHOUT_TIP } {
         return Ok((pose(leader, held, margin, false), Vec::new()));
     }
     let towards = |judged: &Judged| study.orientation.map_or(0.0, |o| o.direction(judged.fit.shell.to_apex).dot(LEFT_FRONT_FEET));
     // Within about 10 degrees of a right angle the orientation tells nothing either.
-    let Some(chosen) = [Some(leader), flipped.as_ref()].into_iter().flatten().find(|judged| towards(judged) > 0.2) else {
+    let Some(chosen) = [Some(leader), other].into_iter().flatten().find(|judged| towards(judged) > 0.2) else {
         let warning = "The counts hardly tell the apex from the base, and nothing else in the file does: the ends may be exchanged.";
         return Ok((pose(leader, held, margin, false), vec![Warning::new("apex_and_base_alike", warning)]));
     };
