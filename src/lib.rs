@@ -13,12 +13,16 @@
 //! | [`report`] | reconstruction → what people read |
 //! | [`export`] | reconstruction → what people look at |
 //! | [`paper`] | the tables and figures of the paper, redone |
+//! | [`drawing`] | tables and pictures for people |
+//! | [`accuracy`] | how far both presets are from the truth |
 //! | [`parameters`] | parameters as a client writes them |
 //! | [`jobs`] | what is stored, queued and worked on |
 //! | [`http`] | the service |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
+pub mod accuracy;
 pub mod config;
+pub mod drawing;
 pub mod export;
 pub mod http;
 pub mod intake;

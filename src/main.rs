@@ -25,6 +25,8 @@ enum Command {
     Phantom(commands::phantom::Args),
     /// Redoes the tables and figures of the paper on simulated hearts.
     Tables(commands::tables::Args),
+    /// Measures both presets on simulated hearts whose volumes are known, and on labelled studies.
+    Accuracy(commands::accuracy::Args),
     /// Prints the OpenAPI document.
     Openapi(commands::openapi::Args),
     /// Asks a running service whether it is ready; exit status 0 if so.
@@ -49,6 +51,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Reconstruct(args) => commands::reconstruct::run(args),
         Command::Phantom(args) => commands::phantom::run(args),
         Command::Tables(args) => commands::tables::run(args),
+        Command::Accuracy(args) => commands::accuracy::run(args),
         Command::Openapi(args) => commands::openapi::run(args),
         Command::Healthcheck(args) => commands::healthcheck::run(args),
     }

@@ -2,7 +2,10 @@
 
 use anyhow::{Context as _, ensure};
 use std::{fs, io::Write as _, path::PathBuf};
-use ventricle::paper::{self, figures};
+use ventricle::{
+    drawing::markdown,
+    paper::{self, figures},
+};
 
 /// Arguments of `ventricle tables`.
 #[derive(clap::Args)]
@@ -38,7 +41,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         writeln!(out, "## {heading}\n\n{text}")?;
         let Some(path) = &args.write else { return Ok(()) };
         let document = fs::read_to_string(path).with_context(|| format!("{} could not be read", path.display()))?;
-        let document = paper::replace(&document, name, text)
+        let document = markdown::replace(&document, name, text)
             .with_context(|| format!("{} has no place for {name} (<!-- {name} --> … <!-- end -->)", path.display()))?;
         fs::write(path, document).with_context(|| format!("{} could not be written", path.display()))
     };

@@ -1,11 +1,8 @@
 //! Table 5 and figure 9 (§7.5): the volumes of a cardiac cycle and its ejection fraction.
 
-use super::{
-    PaperError,
-    markdown::{Table, grouped, signed},
-    printed,
-};
+use super::{PaperError, printed};
 use crate::{
+    drawing::markdown::{Table, grouped, signed},
     phantom::{self, Phantom, Truth},
     pipeline::{self, Reconstruction, Surface, monitor::Silent, parameters::Parameters},
     report::Function,

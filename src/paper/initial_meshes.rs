@@ -3,10 +3,10 @@
 use super::{
     PaperError,
     experiment::Experiment,
-    markdown::Table,
     printed::{self, PrintedTriangles},
 };
 use crate::{
+    drawing::markdown::Table,
     mesh::{Mesh, TriangleQuality},
     pipeline::Surface,
 };

@@ -1,11 +1,8 @@
 //! Table 6 (§7.6): what is recovered when a part of the wall is missing.
 
-use super::{
-    PaperError,
-    markdown::{Table, grouped, signed},
-    printed,
-};
+use super::{PaperError, printed};
 use crate::{
+    drawing::markdown::{Table, grouped, signed},
     phantom::{self, Defect, Phantom, Site},
     pipeline::{self, PipelineError, Reconstruction, Surface, monitor::Silent, parameters::Parameters},
 };

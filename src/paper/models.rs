@@ -3,9 +3,9 @@
 use super::{
     PaperError,
     experiment::{Experiment, Run},
-    markdown::Table,
     printed,
 };
+use crate::drawing::markdown::Table;
 use crate::pipeline::{
     Surface,
     parameters::{Model, Parameters, Solver, SpringDirection},

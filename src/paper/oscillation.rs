@@ -1,11 +1,10 @@
 //! The distances behind figure 5 (§7.1): particles about the border over time, without and with freezing.
 
-use super::{
-    PaperError,
-    experiment::Experiment,
-    markdown::{Table, signed},
+use super::{PaperError, experiment::Experiment};
+use crate::{
+    drawing::markdown::{Table, signed},
+    pipeline::{Surface, borders::Border, deform::Moment, parameters::Parameters, trace::outside_mm},
 };
-use crate::pipeline::{Surface, borders::Border, deform::Moment, parameters::Parameters, trace::outside_mm};
 
 /// Simulated time that is followed, in s.
 pub const FOLLOWED_S: f64 = 20.0;

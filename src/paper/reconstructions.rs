@@ -4,10 +4,12 @@ use super::{
     PaperError,
     experiment::Experiment,
     initial_meshes::{LEVELS, Row, measures},
-    markdown::Table,
     printed,
 };
-use crate::pipeline::{Surface, parameters::Parameters};
+use crate::{
+    drawing::markdown::Table,
+    pipeline::{Surface, parameters::Parameters},
+};
 
 /// A reconstructed mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]

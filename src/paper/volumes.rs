@@ -3,11 +3,11 @@
 use super::{
     PaperError,
     experiment::{Experiment, Run},
-    markdown::{Table, grouped, signed},
     models::solver_name,
     printed, threshold,
 };
 use crate::{
+    drawing::markdown::{Table, grouped, signed},
     pipeline::{
         Surface,
         parameters::{Parameters, Solver},

@@ -207,7 +207,7 @@ impl Scene {
 }
 
 /// The middle of the ventricle in grid mm (slice 0 apical).
-fn centre_mm(grid: &Grid, pose: &Pose) -> DVec3 {
+pub(super) fn centre_mm(grid: &Grid, pose: &Pose) -> DVec3 {
     let last = DVec3::new((grid.shape[2] - 1) as f64, (grid.shape[1] - 1) as f64, (grid.shape[0] - 1) as f64);
     last * grid.step_mm() / 2.0 + DVec3::from_array(pose.offset_mm)
 }

@@ -14,6 +14,7 @@ mod check;
 pub mod cycle;
 pub mod dicom;
 mod erf;
+mod exact;
 mod identity;
 pub mod nifti;
 mod noise;
@@ -25,6 +26,7 @@ mod truth;
 
 pub use anatomy::{Defect, Liver, Site, Uptake};
 pub use camera::{Psf, Tail};
+pub use exact::ExactSurfaces;
 pub use pose::{Deformation, Pose};
 pub use shape::{Cylinder, Shape, Ventricle};
 pub use truth::{GateTruth, Truth};
@@ -169,6 +171,14 @@ pub fn simulate(phantom: &Phantom) -> Result<Simulation, PhantomError> {
         warnings: Vec::new(),
     };
     Ok(Simulation { study, truth: truth::of(phantom) })
+}
+
+/// What is true of a study, without making it.
+///
+/// Errors: as [`simulate`].
+pub fn truth(phantom: &Phantom) -> Result<Truth, PhantomError> {
+    check::check(phantom)?;
+    Ok(truth::of(phantom))
 }
 
 /// The blurred activity of one gate, relative to a normal wall, slice 0 apical.

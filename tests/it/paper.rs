@@ -4,6 +4,7 @@
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use std::{fs, path::Path};
 use ventricle::{
+    drawing::markdown,
     paper::{self, figures, initial_meshes, models, printed},
     pipeline::parameters::Model,
 };
@@ -56,14 +57,14 @@ fn table_6_follows_from_its_volumes_but_for_one_rounding() {
 #[test]
 fn the_document_s_table_2_is_what_the_code_gives() {
     let now = initial_meshes::markdown(&initial_meshes::measure().unwrap());
-    assert_eq!(paper::written(&document(), "table 2"), Some(now.trim()), "run make tables");
+    assert_eq!(markdown::written(&document(), "table 2"), Some(now.trim()), "run make tables");
 }
 
 #[test]
 fn every_table_and_figure_has_its_place_in_the_document() {
     let document = document();
     for number in paper::TABLES {
-        let written = paper::written(&document, &format!("table {number}")).unwrap_or_default();
+        let written = markdown::written(&document, &format!("table {number}")).unwrap_or_default();
         assert!(written.lines().filter(|line| line.starts_with('|')).count() > 3, "table {number}: {written}");
     }
     for number in figures::FIGURES {

@@ -3,12 +3,16 @@
 use super::{
     super::{PaperError, experiment::Experiment},
     EXTERNAL, INTERNAL,
-    raster::Picture,
     render::{Canvas, FINE_LEVELS},
-    svg::{Anchor, FAINT, INK, Sheet, hex},
     view,
 };
-use crate::pipeline::Surface;
+use crate::{
+    drawing::raster::Picture,
+    {
+        drawing::svg::{Anchor, FAINT, INK, Sheet, hex},
+        pipeline::Surface,
+    },
+};
 use glam::DVec3;
 use ndarray::Axis;
 

@@ -4,10 +4,12 @@ use super::{
     super::{PaperError, cycle},
     EXTERNAL, INTERNAL,
     render::{Canvas, FINE_LEVELS},
-    svg::{Anchor, FAINT, INK, Sheet},
     view,
 };
-use crate::pipeline::Surface;
+use crate::{
+    drawing::svg::{Anchor, FAINT, INK, Sheet},
+    pipeline::Surface,
+};
 use glam::DVec3;
 
 /// Pixels along each side of a rendered panel, and on the sheet.

@@ -1,14 +1,11 @@
 //! The paper's figures, redone: SVG sheets with their text and charts as vectors and their pictures embedded as PNG.
 
 mod borders;
-mod chart;
 mod cycle;
 mod operators;
 mod oscillation;
 mod process;
-pub mod raster;
 pub mod render;
-pub mod svg;
 
 use super::PaperError;
 use glam::DVec3;

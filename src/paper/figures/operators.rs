@@ -6,10 +6,10 @@ use super::{
         experiment::{Experiment, exact_marks},
     },
     EXTERNAL, INTERNAL,
-    raster::Picture,
-    svg::{Anchor, FAINT, INK, Sheet},
 };
 use crate::{
+    drawing::raster::Picture,
+    drawing::svg::{Anchor, FAINT, INK, Sheet},
     phantom::{self, Imaging, Phantom, Uptake},
     pipeline::{
         Surface, canny,

@@ -1,12 +1,12 @@
 //! Figure 5 (§7.1): the distance of particles to the border over time, without and with freezing.
 
-use super::{
-    super::{
-        PaperError,
-        oscillation::{FOLLOWED_S, PARTICLES, measure},
-    },
-    chart::Chart,
-    svg::{Anchor, FAINT, INK, Sheet},
+use super::super::{
+    PaperError,
+    oscillation::{FOLLOWED_S, PARTICLES, measure},
+};
+use crate::{
+    drawing::chart::Chart,
+    drawing::svg::{Anchor, FAINT, INK, Sheet},
 };
 
 /// Distances that are drawn, in mm.

@@ -4,10 +4,10 @@ use super::{
     super::{PaperError, experiment::Experiment},
     FROZEN, MOVING,
     render::{COARSE_LEVELS, Camera, Canvas},
-    svg::{Anchor, FAINT, INK, Sheet, hex},
     view,
 };
 use crate::{
+    drawing::svg::{Anchor, FAINT, INK, Sheet, hex},
     mesh::Mesh,
     phantom::Phantom,
     pipeline::{Surface, deform::Moment, parameters::Parameters},

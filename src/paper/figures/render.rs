@@ -1,6 +1,6 @@
 //! Pictures of meshes: an orthographic z-buffer rasteriser with Gouraud shading, several samples a pixel.
 
-use super::raster::Picture;
+use crate::drawing::raster::Picture;
 use crate::mesh::Mesh;
 use glam::{DVec2, DVec3};
 

@@ -1,8 +1,34 @@
 //! The clinical preset: the ventricle is found in any orientation, its borders are measured along its own axes at sub-voxel precision,
 //! and a model of how the camera blurs a wall of this shape is fitted to the counts of all gates at once.
 
-use super::{PipelineError, Reconstruction, monitor::Monitor, parameters::Parameters};
+mod basis;
+mod exposure;
+mod fit;
+mod frame;
+mod linear;
+mod priors;
+mod quadrature;
+mod rays;
+mod shape;
+mod surfaces;
+
+use super::{
+    Fit, GateReconstruction, PerSurface, PipelineError, Reconstruction,
+    monitor::{Monitor, Stage},
+    observed,
+    parameters::Parameters,
+    pose, wall,
+};
 use crate::study::Study;
+use basis::{Angle, Basis};
+use exposure::{Activity, Crop};
+use fit::{Counts, Plan, State, VoxelPlace};
+use frame::Frame;
+use glam::DVec3;
+use priors::Priors;
+use rays::Rays;
+use rayon::prelude::*;
+use shape::{Shape, Space};
 use serde::{Deserialize, Serialize};
 
 /// What the model of the camera says of a study.
@@ -103,5 +129,114 @@ pub struct GateFit {
 ///
 /// Errors: no left ventricle, marks outside the study, or cancelled.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    super::paper::reconstruct(study, parameters, monitor)
+    let (pose, mut warnings) = observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
+    let frame = Frame::about(&pose);
+    let basis = Basis::new(frame.s_of_height(frame.base_mm + ABOVE_BASE_MM));
+    let space = Space { frame, basis };
+    let rays = observed(monitor, Stage::Rays, None, || Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>()))?;
+    let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine(study, &space, &rays, parameters, monitor))?;
+    let steps = model.steps;
+    let gates = observed(monitor, Stage::Wall, None, || {
+        Ok(shapes
+            .par_iter()
+            .map(|shape| {
+                let mut meshes = surfaces::meshes(shape, &space, parameters.mesh.level);
+                let wall_order = wall::order(&mut meshes.endocardial, &mut meshes.epicardial);
+                let fit = |mesh| Fit { mesh, steps, evolution: None };
+                GateReconstruction { fits: PerSurface { endocardial: fit(meshes.endocardial), epicardial: fit(meshes.epicardial) }, wall_order }
+            })
+            .collect::<Vec<_>>())
+    })?;
+    warnings.extend(gates.iter().enumerate().filter_map(|(gate, result)| wall::warning(gate + 1, &result.wall_order)));
+    Ok(Reconstruction {
+        gates,
+        region: None,
+        to_base: pose.to_base(),
+        pose: Some(pose),
+        model: Some(model),
+        parameters: parameters.clone(),
+        warnings,
+    })
+}
+
+/// How far above the pose's valve plane surfaces may reach: the plane moves by up to 15 mm over the cycle, and the pose's is its mean.
+const ABOVE_BASE_MM: f64 = 14.0;
+/// How far around the pose counts are looked at: half a wall, the blur, what the margin of the fit asks for.
+const AROUND_MM: f64 = 30.0;
+
+fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, monitor: &dyn Monitor) -> Result<(Vec<Shape>, ModelFit), PipelineError> {
+    let counts = gather(study, space, rays);
+    let median = |of: &dyn Fn(&Rays) -> f64| rays::percentile(rays.iter().map(of), 0.5);
+    let wall = median(&|rays| rays.wall);
+    let low = median(&|rays| rays.low);
+    let bases: Vec<f64> = rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)).collect();
+    let defect = low > 0.06;
+    let shapes: Vec<Shape> = rays.iter().zip(&bases).map(|(rays, &base_mm)| start(if defect { &rays.continued } else { &rays.mid }, base_mm)).collect();
+    let map = if defect { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; exposure::UPTAKE] };
+    let held: Option<Vec<Vec<f64>>> = defect.then(|| rays.iter().map(|rays| rays.continued.clone()).collect());
+    let fwhm = parameters.refine.psf_fwhm_mm.unwrap_or(12.0);
+    let state = State {
+        shapes,
+        activity: Activity { wall: 1.15, blood: median(&|rays| rays.blood) / wall, background: median(&|rays| rays.background) / wall, map: map.clone() },
+        sigma_mm: fwhm / FWHM_PER_SIGMA,
+    };
+    let plan = Plan { steps: 12, fits_map: std::env::var("NOMAP").is_err() || defect, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA] };
+    let mut priors = Priors::new(held.as_deref(), map, [(12.0 / FWHM_PER_SIGMA).ln(), 0.35]);
+    if parameters.refine.wall_conservation { priors.wall_volume = Some(0.02); }
+    let solved = fit::fit(&counts, state, &priors, &plan, monitor)?;
+    let m = ModelFit {
+        refined: true,
+        psf: PsfEstimate { fwhm_mm: solved.state.sigma_mm * FWHM_PER_SIGMA, source: PsfSource::Estimated, standard_error_mm: 0.0, at_bound: false, edv_percent_per_mm: 0.0 },
+        residual: Residual { relative: (solved.system.misfit.iter().map(|m| m.squares).sum::<f64>() / solved.system.misfit.iter().map(|m| m.voxels).sum::<f64>()).sqrt() / solved.state.activity.wall, over_noise: 0.0 },
+        uncertainty: None, low_uptake_fraction: low, extrapolated_fraction: 0.0, referee: Referee::default(), steps: solved.steps, converged: solved.converged, gates: vec![],
+    };
+    if parameters.refine.enabled { Ok((solved.state.shapes, m)) } else { Ok((rays.iter().map(|r| r.gradient.clone()).collect(), m)) }
+}
+
+/// Standard deviations in a full width at half maximum: 2√(2 ln 2).
+const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
+
+fn start(mid: &[f64], base_mm: f64) -> Shape {
+    let mut values = Vec::with_capacity(shape::LOCAL);
+    for mid in mid.chunks_exact(basis::HARMONICS) {
+        values.extend_from_slice(mid);
+        values.extend([priors::THICKNESS_MM[0], 0.0, 0.0]);
+    }
+    values.extend([base_mm, 0.0, 0.0]);
+    Shape { values }
+}
+
+/// The counts around the ventricle, each gate scaled to the mean total, as parts of the wall's counts.
+fn gather(study: &Study, space: &Space, rays: &[Rays]) -> Counts {
+    let grid = study.grid;
+    let frame = &space.frame;
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for (point, reach) in [(DVec3::ZERO, frame.unit_mm.max(frame.apex_mm) + AROUND_MM), (DVec3::Z * frame.base_mm, frame.unit_mm + AROUND_MM)] {
+        let point = frame.grid(point);
+        low = low.min(point - reach);
+        high = high.max(point + reach);
+    }
+    let (from, to) = (grid.fractional_index(low), grid.fractional_index(high));
+    let first: [usize; 3] = std::array::from_fn(|axis| (from[axis].floor().max(0.0) as usize).min(grid.shape[axis] - 1));
+    let end: [usize; 3] = std::array::from_fn(|axis| (to[axis].ceil().max(0.0) as usize + 1).min(grid.shape[axis]).max(first[axis] + 1));
+    let crop = Crop { grid, first, shape: std::array::from_fn(|axis| end[axis] - first[axis]) };
+    let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
+    let mean = totals.iter().sum::<f64>() / totals.len() as f64;
+    let wall = rays::percentile(rays.iter().map(|rays| rays.wall), 0.5);
+    let cut = |volume: &crate::volume::Volume, scale: f64| -> Vec<f32> {
+        let [z, y, x] = crop.first;
+        let [nz, ny, nx] = crop.shape;
+        volume.counts.slice(ndarray::s![z..z + nz, y..y + ny, x..x + nx]).iter().map(|&count| (f64::from(count) * scale) as f32).collect()
+    };
+    let gates: Vec<Vec<f32>> = study.gates.iter().zip(&totals).map(|(gate, total)| cut(&gate.volume, mean / total.max(1e-9) / wall)).collect();
+    let known = (0..crop.voxels()).map(|voxel| gates.iter().any(|gate| gate[voxel] != 0.0)).collect();
+    let places = crop
+        .centres_mm()
+        .map(|centre| {
+            let local = frame.local(centre);
+            let (s, phi, r) = frame.bullet(local);
+            VoxelPlace { spot: space.basis.at(s, &Angle::new(phi)), r, z: local.z }
+        })
+        .collect();
+    Counts { crop, space: *space, gates, known, places }
 }

@@ -4,21 +4,21 @@ use super::svg::{Anchor, FAINT, INK, Sheet};
 
 /// Where a chart stands on a sheet and what its axes say.
 #[derive(Debug, Clone)]
-pub(super) struct Chart {
+pub struct Chart {
     /// Upper left corner of the plotted area.
-    pub(super) corner: (f64, f64),
+    pub corner: (f64, f64),
     /// Its size.
-    pub(super) size: (f64, f64),
+    pub size: (f64, f64),
     /// Values at the left and the right end.
-    pub(super) across: (f64, f64),
+    pub across: (f64, f64),
     /// Values at the lower and the upper end.
-    pub(super) upwards: (f64, f64),
+    pub upwards: (f64, f64),
     /// What is said above.
-    pub(super) title: String,
+    pub title: String,
     /// Name and unit of the horizontal axis.
-    pub(super) across_label: &'static str,
+    pub across_label: &'static str,
     /// Name and unit of the vertical axis; none for a chart beside another with the same one.
-    pub(super) upwards_label: Option<&'static str>,
+    pub upwards_label: Option<&'static str>,
 }
 
 impl Chart {
@@ -28,7 +28,7 @@ impl Chart {
     }
 
     /// Axes, their ticks and the title.
-    pub(super) fn axes(&self, sheet: &mut Sheet) {
+    pub fn axes(&self, sheet: &mut Sheet) {
         let ((left, top), (width, height)) = (self.corner, self.size);
         sheet.text((left + width / 2.0, top - 12.0), 14.0, Anchor::Middle, INK, &self.title);
         for tick in ticks(self.across) {
@@ -49,14 +49,14 @@ impl Chart {
     }
 
     /// A level across the chart, with its name at the left end.
-    pub(super) fn level(&self, sheet: &mut Sheet, value: f64, name: &str) {
+    pub fn level(&self, sheet: &mut Sheet, value: f64, name: &str) {
         let (from, to) = (self.place((self.across.0, value)), self.place((self.across.1, value)));
         sheet.line(&[from, to], INK, 1.4);
         sheet.text((from.0 + 4.0, from.1 + 14.0), 11.0, Anchor::Start, FAINT, name);
     }
 
     /// A line; what lies outside the axes is left out.
-    pub(super) fn curve(&self, sheet: &mut Sheet, points: impl IntoIterator<Item = (f64, f64)>, colour: &str, width: f64) {
+    pub fn curve(&self, sheet: &mut Sheet, points: impl IntoIterator<Item = (f64, f64)>, colour: &str, width: f64) {
         let inside = |(x, y): (f64, f64)| {
             let within = |value: f64, (from, to): (f64, f64)| value >= from - 1e-9 && value <= to + 1e-9;
             if within(x, self.across) && within(y, self.upwards) { self.place((x, y)) } else { (f64::NAN, f64::NAN) }

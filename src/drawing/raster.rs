@@ -1,6 +1,5 @@
 //! Pictures of pixels as PNG.
 
-use super::super::PaperError;
 use ndarray::ArrayView2;
 
 /// An opaque picture, rows from the top, red, green and blue of 0-255 a pixel.
@@ -60,7 +59,7 @@ impl Picture {
     /// The picture as a PNG file, of 256 colours where it has no more.
     ///
     /// Errors: the encoder's.
-    pub fn png(&self) -> Result<Vec<u8>, PaperError> {
+    pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
         encoder.set_depth(png::BitDepth::Eight);

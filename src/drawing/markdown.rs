@@ -1,4 +1,4 @@
-//! Tables in Markdown.
+//! Tables in Markdown, and the places of a document that hold them.
 
 use std::fmt;
 
@@ -62,6 +62,24 @@ pub fn signed(value: f64, decimals: usize) -> String {
     )
 }
 
+/// Replaces what stands between `<!-- name -->` and `<!-- end -->` in a document; `None` if it has no
+/// such place.
+pub fn replace(document: &str, name: &str, text: &str) -> Option<String> {
+    let (begin, end) = (format!("<!-- {name} -->"), "<!-- end -->");
+    let from = document.find(&begin)? + begin.len();
+    let to = from + document[from..].find(end)?;
+    // A second beginning before the end would belong to another place.
+    (!document[from..to].contains("<!-- ")).then(|| format!("{}\n\n{}\n\n{}", &document[..from], text.trim(), &document[to..]))
+}
+
+/// What stands between the marks of a place in a document.
+pub fn written<'a>(document: &'a str, name: &str) -> Option<&'a str> {
+    let begin = format!("<!-- {name} -->");
+    let from = document.find(&begin)? + begin.len();
+    let to = from + document[from..].find("<!-- end -->")?;
+    Some(document[from..to].trim())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,5 +98,17 @@ mod tests {
         assert_eq!(signed(1.449, 1), "+1.4");
         assert_eq!(signed(-0.68, 2), "−0.68");
         assert_eq!(signed(-0.001, 2), "0.00");
+    }
+
+    #[test]
+    fn only_the_part_between_the_marks_is_replaced() {
+        let document = "a\n<!-- table 1 -->\nold\n<!-- end -->\nb\n<!-- table 2 -->\nkept\n<!-- end -->\n";
+        let new = replace(document, "table 1", "new\n").unwrap();
+        assert_eq!(new, "a\n<!-- table 1 -->\n\nnew\n\n<!-- end -->\nb\n<!-- table 2 -->\nkept\n<!-- end -->\n");
+        assert_eq!(replace(&new, "table 1", "new").as_deref(), Some(new.as_str()));
+        assert_eq!(written(&new, "table 1"), Some("new"));
+        assert_eq!(written(&new, "table 2"), Some("kept"));
+        assert_eq!(replace(document, "table 3", "new"), None);
+        assert_eq!(replace("<!-- table 1 --> <!-- table 2 --> <!-- end -->", "table 1", "new"), None);
     }
 }

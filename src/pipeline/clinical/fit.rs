@@ -1,0 +1,364 @@
+//! The model's fit to all gates at once: Gauss-Newton steps with robust weights on the shapes of the gates and on what they share, the
+//! activities, the uptake map and the width of the point-spread function.
+
+use super::{
+    basis::Spot,
+    exposure::{ACTIVITY, Activity, COLUMNS, COLUMNS_WITHOUT_MAP, Crop, MAP, UPTAKE, Want, expose},
+    linear::{Arrow, Block},
+    priors::{LocalPrior, Priors},
+    shape::{BASE, LOCAL, SURFACES, Shape, Space, Volumes},
+};
+use crate::pipeline::{
+    PipelineError,
+    monitor::{self, Monitor},
+};
+use rayon::prelude::*;
+
+/// Columns all gates share, before the map: wall, blood, background, logarithm of the point-spread function's width.
+pub(super) const SHARED: usize = 4;
+/// Where the width stands among them.
+pub(super) const WIDTH: usize = 3;
+
+/// Standard deviation of counts less model for the weights, as part of the wall's activity (the prototype's).
+pub(super) const NOISE: f64 = 0.04;
+/// Residuals beyond so many standard deviations lose weight (Cauchy).
+const ROBUST: f64 = 3.0;
+/// Counts farther outside the epicardium, or higher above the valve plane, are not compared.
+const MARGIN_MM: f64 = 9.0;
+const MARGIN_ABOVE_MM: f64 = 12.0;
+/// Longest step of a coefficient or of the valve plane in mm, and of its slope.
+const LONGEST_MM: f64 = 4.0;
+const LONGEST_SLOPE: f64 = 2.0;
+/// Relative step for the image's derivative by the width.
+const WIDTH_STEP: f64 = 0.02;
+/// Steps end when none moves a coefficient by more.
+const REST_MM: f64 = 0.05;
+
+/// What is fitted to.
+pub(super) struct Counts {
+    pub(super) crop: Crop,
+    pub(super) space: Space,
+    /// Counts of every gate as parts of the wall's activity, all gates scaled to the same total.
+    pub(super) gates: Vec<Vec<f32>>,
+    /// Voxels within the field of view.
+    pub(super) known: Vec<bool>,
+    /// Local `[x, y, z]` of the voxels' `(s, φ, r)` and height.
+    pub(super) places: Vec<VoxelPlace>,
+}
+
+/// A voxel's centre in bullet coordinates, and its height over the centre.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct VoxelPlace {
+    pub(super) spot: Spot,
+    pub(super) r: f64,
+    pub(super) z: f64,
+}
+
+/// All parameters.
+#[derive(Debug, Clone)]
+pub(super) struct State {
+    pub(super) shapes: Vec<Shape>,
+    pub(super) activity: Activity,
+    pub(super) sigma_mm: f64,
+}
+
+/// How the fit is done.
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    pub(super) steps: usize,
+    pub(super) fits_map: bool,
+    pub(super) fits_width: bool,
+    pub(super) fits_tilt: bool,
+    /// Limits of the width in mm (standard deviation).
+    pub(super) sigma_limits_mm: [f64; 2],
+}
+
+/// The system at the last step, for the uncertainty.
+pub(super) struct Solved {
+    pub(super) state: State,
+    pub(super) steps: usize,
+    pub(super) converged: bool,
+    pub(super) system: System,
+}
+
+/// Fits.
+pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, monitor: &dyn Monitor) -> Result<Solved, PipelineError> {
+    let mut state = start;
+    let mut steps = 0;
+    let mut converged = false;
+    while steps < plan.steps && !converged {
+        monitor::check(monitor)?;
+        let system = assemble(counts, &state, priors, plan, monitor)?;
+        steps += 1;
+        let Some((gates, shared)) = system.step() else { break };
+        converged = advance(&mut state, &gates, &shared, plan) < REST_MM;
+        monitor.advance(steps, plan.steps + 1);
+    }
+    let system = assemble(counts, &state, priors, plan, monitor)?;
+    Ok(Solved { state, steps, converged, system })
+}
+
+/// Moves the parameters; returns the longest step of a shape in mm.
+fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) -> f64 {
+    let mut longest = 0.0_f64;
+    for (shape, step) in state.shapes.iter_mut().zip(gates) {
+        for (index, (value, step)) in shape.values.iter_mut().zip(step).enumerate() {
+            let limit = if index > BASE { LONGEST_SLOPE } else { LONGEST_MM };
+            let step = step.clamp(-limit, limit);
+            if index <= BASE {
+                longest = longest.max(step.abs());
+            }
+            *value += step;
+        }
+    }
+    let activity = &mut state.activity;
+    activity.wall = (activity.wall + shared[0].clamp(-0.15 * activity.wall, 0.15 * activity.wall)).max(0.05);
+    activity.blood = (activity.blood + shared[1]).clamp(0.0, 0.7 * activity.wall);
+    activity.background = (activity.background + shared[2]).clamp(0.0, 0.7 * activity.wall);
+    if plan.fits_width {
+        let [low, high] = plan.sigma_limits_mm;
+        let width = state.sigma_mm * shared[WIDTH].clamp(-0.15, 0.15).exp();
+        longest = longest.max(2.0 * (width - state.sigma_mm).abs());
+        state.sigma_mm = width.clamp(low, high);
+    }
+    if plan.fits_map {
+        for (value, step) in activity.map.iter_mut().zip(&shared[SHARED..]) {
+            *value += step.clamp(-0.2, 0.2);
+        }
+    }
+    longest
+}
+
+/// The normal equations of a state.
+pub(super) struct System {
+    pub(super) shared: usize,
+    pub(super) blocks: Vec<Block>,
+    pub(super) corner: Vec<f64>,
+    pub(super) gate_sides: Vec<Vec<f64>>,
+    pub(super) shared_side: Vec<f64>,
+    pub(super) misfit: Vec<Misfit>,
+}
+
+/// How far a gate's counts are from the model.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Misfit {
+    /// Sums over the voxels compared: of squared residuals, of weights times squared residuals, of the model's image, and their number.
+    pub(super) squares: f64,
+    pub(super) weighted: f64,
+    pub(super) image: f64,
+    pub(super) voxels: f64,
+}
+
+impl System {
+    fn step(&self) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
+        let (blocks, corner) = self.damped();
+        let arrow = Arrow::factorise(LOCAL, blocks, corner, self.shared)?;
+        let (mut gates, mut shared) = (self.gate_sides.clone(), self.shared_side.clone());
+        arrow.solve(&mut gates, &mut shared);
+        Some((gates, shared))
+    }
+
+    /// A little more on the diagonal: what nothing determines stays where it is.
+    fn damped(&self) -> (Vec<Block>, Vec<f64>) {
+        let damp = |matrix: &mut [f64], n: usize| {
+            for i in 0..n {
+                matrix[i * n + i] = 1.01 * matrix[i * n + i] + 1e-6;
+            }
+        };
+        let mut blocks = self.blocks.clone();
+        for block in &mut blocks {
+            damp(&mut block.own, LOCAL);
+        }
+        let mut corner = self.corner.clone();
+        damp(&mut corner, self.shared);
+        (blocks, corner)
+    }
+
+    /// The factorised system without damping.
+    pub(super) fn arrow(&self) -> Option<Arrow> {
+        Arrow::factorise(LOCAL, self.blocks.clone(), self.corner.clone(), self.shared)
+    }
+}
+
+/// A gate's share of the normal equations: `[n × n]` over local and shared columns, and the right side.
+struct Normal {
+    n: usize,
+    matrix: Vec<f64>,
+    side: Vec<f64>,
+    misfit: Misfit,
+}
+
+fn assemble(counts: &Counts, state: &State, priors: &Priors, plan: &Plan, monitor: &dyn Monitor) -> Result<System, PipelineError> {
+    let shared = SHARED + if plan.fits_map { UPTAKE } else { 0 };
+    let normals: Vec<Result<Normal, PipelineError>> = (0..state.shapes.len())
+        .into_par_iter()
+        .map(|gate| {
+            monitor::check(monitor)?;
+            Ok(normal_of_gate(counts, state, gate, plan))
+        })
+        .collect();
+    let normals = normals.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let mut corner = vec![0.0; shared * shared];
+    let mut shared_side = vec![0.0; shared];
+    let (mut blocks, mut gate_sides, mut misfit) = (Vec::new(), Vec::new(), Vec::new());
+    let volumes: Vec<Volumes> = state.shapes.iter().map(|shape| Volumes::of(shape, &counts.space)).collect();
+    for (gate, normal) in normals.into_iter().enumerate() {
+        let n = normal.n;
+        let mut own = vec![0.0; LOCAL * LOCAL];
+        let mut border = vec![0.0; LOCAL * shared];
+        for i in 0..LOCAL {
+            own[i * LOCAL..][..LOCAL].copy_from_slice(&normal.matrix[i * n..][..LOCAL]);
+            border[i * shared..][..shared].copy_from_slice(&normal.matrix[i * n + LOCAL..][..shared]);
+        }
+        let mut side = normal.side[..LOCAL].to_vec();
+        for i in 0..shared {
+            shared_side[i] += normal.side[LOCAL + i];
+            for j in 0..shared {
+                corner[i * shared + j] += normal.matrix[(LOCAL + i) * n + LOCAL + j];
+            }
+        }
+        let prior: LocalPrior<'_> = priors.of_gate(gate, state, &volumes);
+        prior.add(&state.shapes[gate].values, &mut own, &mut side);
+        if !plan.fits_tilt {
+            for index in BASE + 1..LOCAL {
+                freeze(&mut own, &mut border, &mut side, index, shared);
+            }
+        }
+        misfit.push(normal.misfit);
+        blocks.push(Block { own, border });
+        gate_sides.push(side);
+    }
+    priors.add_shared(state, plan, shared, &mut corner, &mut shared_side);
+    if !plan.fits_width {
+        for i in 0..shared {
+            corner[WIDTH * shared + i] = 0.0;
+            corner[i * shared + WIDTH] = 0.0;
+        }
+        corner[WIDTH * shared + WIDTH] = 1.0;
+        shared_side[WIDTH] = 0.0;
+    }
+    Ok(System { shared, blocks, corner, gate_sides, shared_side, misfit })
+}
+
+/// Takes a parameter of a gate out of the system.
+fn freeze(own: &mut [f64], border: &mut [f64], side: &mut [f64], index: usize, shared: usize) {
+    for i in 0..LOCAL {
+        own[index * LOCAL + i] = 0.0;
+        own[i * LOCAL + index] = 0.0;
+    }
+    own[index * LOCAL + index] = 1.0;
+    border[index * shared..][..shared].fill(0.0);
+    side[index] = 0.0;
+}
+
+/// Whether a voxel is compared: around the wall and below the valve plane.
+pub(super) fn compared(place: &VoxelPlace, shape: &Shape) -> bool {
+    place.z < shape.base_mm() + MARGIN_ABOVE_MM && place.r < shape.radii(&place.spot).epicardial + MARGIN_MM
+}
+
+fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> Normal {
+    let (shape, space, crop) = (&state.shapes[gate], &counts.space, &counts.crop);
+    let columns = if plan.fits_map { COLUMNS } else { COLUMNS_WITHOUT_MAP };
+    let exposure = expose(crop, space, shape, &state.activity, state.sigma_mm, Want::Derivatives(columns));
+    let wider = plan.fits_width.then(|| expose(crop, space, shape, &state.activity, state.sigma_mm * (1.0 + WIDTH_STEP), Want::Image));
+    // Order of the packed columns: local, wall, blood, background, width, map.
+    let n = LOCAL + SHARED + columns - MAP;
+    let mut gram = Gram::new(n + 1);
+    let mut misfit = Misfit::default();
+    let noise = NOISE * state.activity.wall;
+    let mut row = vec![0.0_f32; n + 1];
+    for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
+        if !counts.known[voxel] || !compared(place, shape) {
+            continue;
+        }
+        let residual = f64::from(count) - f64::from(exposure.image[voxel]);
+        let weight = 1.0 / ((1.0 + (residual / (ROBUST * noise)).powi(2)) * noise * noise);
+        misfit.squares += residual * residual;
+        misfit.weighted += weight * residual * residual;
+        misfit.image += f64::from(exposure.image[voxel]);
+        misfit.voxels += 1.0;
+        let root = weight.sqrt() as f32;
+        let derivatives = &exposure.jacobian[voxel * columns..][..columns];
+        for (to, from) in row[..ACTIVITY + WIDTH].iter_mut().zip(derivatives) {
+            *to = root * from;
+        }
+        row[LOCAL + WIDTH] = match &wider {
+            Some(wider) => root * (wider.image[voxel] - exposure.image[voxel]) / (1.0 + WIDTH_STEP).ln() as f32,
+            None => 0.0,
+        };
+        for (to, from) in row[LOCAL + SHARED..n].iter_mut().zip(&derivatives[MAP..]) {
+            *to = root * from;
+        }
+        row[n] = root * residual as f32;
+        gram.push(&row);
+    }
+    let full = gram.finish();
+    let side = (0..n).map(|i| full[n * (n + 1) + i]).collect();
+    let mut matrix = vec![0.0; n * n];
+    for i in 0..n {
+        for j in 0..=i {
+            matrix[i * n + j] = full[i * (n + 1) + j];
+            matrix[j * n + i] = full[i * (n + 1) + j];
+        }
+    }
+    Normal { n, matrix, side, misfit }
+}
+
+/// Sum of the outer products of rows, lower triangle: single precision within a batch of rows, double between batches.
+struct Gram {
+    n: usize,
+    padded: usize,
+    batch: Vec<f32>,
+    rows: usize,
+    sum: Vec<f64>,
+}
+
+/// Rows of a batch.
+const BATCH: usize = 64;
+/// Side of the tiles a batch is multiplied in.
+const TILE: usize = 8;
+
+impl Gram {
+    fn new(n: usize) -> Self {
+        let padded = n.div_ceil(TILE) * TILE;
+        Self { n, padded, batch: vec![0.0; BATCH * padded], rows: 0, sum: vec![0.0; padded * padded] }
+    }
+
+    fn push(&mut self, row: &[f32]) {
+        self.batch[self.rows * self.padded..][..self.n].copy_from_slice(row);
+        self.rows += 1;
+        if self.rows == BATCH {
+            self.flush();
+        }
+    }
+
+    fn flush(&mut self) {
+        for a in (0..self.padded).step_by(TILE) {
+            for b in (0..=a).step_by(TILE) {
+                let mut tile = [[0.0_f32; TILE]; TILE];
+                for row in self.batch[..self.rows * self.padded].chunks_exact(self.padded) {
+                    let (left, right) = (&row[a..a + TILE], &row[b..b + TILE]);
+                    for (line, &x) in tile.iter_mut().zip(left) {
+                        for (to, y) in line.iter_mut().zip(right) {
+                            *to += x * y;
+                        }
+                    }
+                }
+                for (i, line) in tile.iter().enumerate() {
+                    for (to, &value) in self.sum[(a + i) * self.padded + b..][..TILE].iter_mut().zip(line) {
+                        *to += f64::from(value);
+                    }
+                }
+            }
+        }
+        self.rows = 0;
+    }
+
+    /// `[n × n]`, lower triangle.
+    fn finish(mut self) -> Vec<f64> {
+        self.flush();
+        (0..self.n).flat_map(|i| self.sum[i * self.padded..][..self.n].to_vec()).collect()
+    }
+}
+
+const _: () = assert!(SURFACES < LOCAL && ACTIVITY == LOCAL);
