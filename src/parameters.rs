@@ -3,6 +3,7 @@
 
 mod check;
 mod describe;
+mod idle;
 mod query;
 mod resolve;
 
@@ -14,17 +15,24 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
-/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset.
+/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level` and `region` are of both presets,
+/// `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
+/// by name, unless it is the default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(as = Parameters, example = json!({"preset": "paper", "mesh": {"level": 3}, "region": {"first_slice": 4, "last_slice": 19}}))]
+#[schema(as = Parameters, example = json!({"preset": "clinical", "mesh": {"level": 3}, "refine": {"psf_fwhm_mm": 12.5}}))]
 pub struct Request {
-    /// The named set the other values start from. `paper` is García and Susín's method as printed.
-    #[schema(inline, default = "paper")]
+    /// The method, and the named set the other values start from. `clinical` finds the ventricle in slices of any orientation, measures its borders
+    /// along its own axes and refines them by a model of how the camera blurs the wall. `paper` is García and Susín's method as printed, for short-axis
+    /// slices.
+    #[schema(inline, default = "clinical")]
     pub preset: Option<Preset>,
-    /// Where the left ventricle lies. Each mark that is left out is estimated from the counts.
+    /// Where the slices cut the left ventricle. Each mark that is left out is estimated from the counts.
     #[schema(inline)]
     pub region: Option<Region>,
+    /// The ends of the ventricle's long axis. Each one that is left out is estimated from the counts. Only with the preset `clinical`.
+    #[schema(inline)]
+    pub pose: Option<Pose>,
     /// Edge detection.
     #[schema(inline)]
     pub edges: Option<Edges>,
@@ -37,12 +45,17 @@ pub struct Request {
     /// The deformable model and its evolution.
     #[schema(inline)]
     pub deform: Option<Deform>,
+    /// The model of the camera. Only with the preset `clinical`.
+    #[schema(inline)]
+    pub refine: Option<Refine>,
 }
 
 /// Named sets of values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
+    /// Found in any orientation, fitted with a model of the camera.
+    Clinical,
     /// García and Susín's method as printed.
     Paper,
 }
@@ -63,6 +76,19 @@ pub struct Region {
     /// Last slice of the ventricle, counted from 1; not before `first_slice`.
     #[schema(minimum = 1, maximum = 4096)]
     pub last_slice: Option<usize>,
+}
+
+/// The ends of the long axis that a user can give, in mm from the centre of the first voxel: x along a row, y down the columns, z from the first
+/// slice to the last. Both must lie in the study, 25 to 140 mm apart.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// The tip of the ventricle in the middle of its wall, `[x, y, z]` in mm.
+    #[schema(min_items = 3, max_items = 3)]
+    pub apex_mm: Option<[f64; 3]>,
+    /// Where the long axis meets the valve plane, `[x, y, z]` in mm.
+    #[schema(min_items = 3, max_items = 3)]
+    pub base_mm: Option<[f64; 3]>,
 }
 
 /// Edge detection.
@@ -284,6 +310,34 @@ pub struct Bend {
     pub kd: Option<f64>,
 }
 
+/// The model of the camera. Each switch can be turned off to see what it is worth (`docs/accuracy.md`); for results leave them on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Refine {
+    /// Whether the surfaces are those of the fitted model; `false` leaves those at the gradient's extrema.
+    #[schema(default = true)]
+    pub enabled: Option<bool>,
+    /// Full width at half maximum of the camera's point-spread function at the heart, reconstruction filter included, in mm. Left out it is
+    /// estimated from the counts. Volumes depend on it: how much is in the report (`model.psf.edv_percent_per_mm`).
+    #[schema(minimum = 4.0, maximum = 30.0)]
+    pub psf_fwhm_mm: Option<f64>,
+    /// Whether the valve plane may tilt against the long axis.
+    #[schema(default = true)]
+    pub base_tilt: Option<bool>,
+    /// Whether the wall's volume is held nearly constant over the cycle.
+    #[schema(default = true)]
+    pub wall_conservation: Option<bool>,
+    /// Whether neighbouring gates are held together in time.
+    #[schema(default = true)]
+    pub temporal_prior: Option<bool>,
+    /// Whether shape and thickness are held to a smooth ventricle where the wall takes up little.
+    #[schema(default = true)]
+    pub shape_prior: Option<bool>,
+    /// Whether the wall's uptake may vary.
+    #[schema(default = true)]
+    pub uptake_map: Option<bool>,
+}
+
 /// One thing wrong with the parameters.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Complaint {
@@ -347,8 +401,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_given_is_the_paper() {
-        assert_eq!(resolve(Request::default()).unwrap(), chosen::Parameters::paper());
+    fn nothing_given_is_the_clinical_preset() {
+        assert_eq!(resolve(Request::default()).unwrap(), chosen::Parameters::clinical());
+        assert_eq!(parse(&json!({"preset": null, "refine": {}})).and_then(resolve).unwrap(), chosen::Parameters::clinical());
         assert_eq!(
             parse(&json!({"preset": "paper", "region": null, "edges": {"sigma": null}})).and_then(resolve).unwrap(),
             chosen::Parameters::paper()
@@ -357,17 +412,33 @@ mod tests {
 
     #[test]
     fn documented_defaults_are_the_values_used() {
-        let used = serde_json::to_value(chosen::Parameters::paper()).unwrap();
         let described = describe();
         assert!((18..MOST_COMPLAINTS).contains(&described.len()), "{described:#?}");
-        for field in described {
-            assert!(!field.description.is_empty(), "{} has no description", field.pointer);
-            let value = used.pointer(&field.pointer).unwrap_or_else(|| panic!("{} is not a pipeline parameter", field.pointer));
-            match field.default {
-                None => assert!(value.is_null(), "{} has a default that is not documented", field.pointer),
-                Some(default) if default.is_number() => assert_eq!(default.as_f64(), value.as_f64(), "{}", field.pointer),
-                Some(default) => assert_eq!(&default, value, "{}", field.pointer),
+        for (name, preset) in [("clinical", chosen::Parameters::clinical()), ("paper", chosen::Parameters::paper())] {
+            let used = serde_json::to_value(preset).unwrap();
+            for field in described.iter().filter(|field| field.presets.contains(&name) && field.pointer != "/preset") {
+                assert!(!field.description.is_empty(), "{} has no description", field.pointer);
+                let value = used.pointer(&field.pointer).unwrap_or_else(|| panic!("{} is not a pipeline parameter", field.pointer));
+                match &field.default {
+                    None => assert!(value.is_null(), "{} has a default that is not documented", field.pointer),
+                    Some(default) if default.is_number() => assert_eq!(default.as_f64(), value.as_f64(), "{}", field.pointer),
+                    Some(default) => assert_eq!(default, value, "{}", field.pointer),
+                }
             }
+        }
+        let default = described.iter().find(|field| field.pointer == "/preset").and_then(|field| field.default.clone());
+        assert_eq!(default, Some(json!("clinical")));
+    }
+
+    #[test]
+    fn each_parameter_names_the_presets_it_is_of() {
+        let of = |pointer: &str| describe().into_iter().find(|field| field.pointer == pointer).unwrap().presets;
+        assert_eq!(of("/mesh/level"), ["clinical", "paper"]);
+        assert_eq!(of("/region/centre_mm"), ["clinical", "paper"]);
+        assert_eq!(of("/pose/apex_mm"), ["clinical"]);
+        assert_eq!(of("/refine/psf_fwhm_mm"), ["clinical"]);
+        for pointer in ["/edges/sigma", "/gvf/mu", "/mesh/seed", "/mesh/seed_scale", "/deform/stretch/k"] {
+            assert_eq!(of(pointer), ["paper"], "{pointer}");
         }
     }
 
@@ -376,6 +447,7 @@ mod tests {
         let sent = json!({
             "preset": "paper",
             "region": {"centre_mm": [90.0, 95.5], "radius_mm": 60.0, "first_slice": 3, "last_slice": 20},
+            "pose": {"apex_mm": null, "base_mm": null},
             "edges": {"operator": "canny", "sigma": 1.5, "low": 0.2, "high": 0.7, "mode": "volume", "threshold": 0.5, "close_ends": false},
             "gvf": {"mu": 5.0, "tolerance": 1e-5},
             "mesh": {"level": 4, "seed": "common_ellipsoid", "seed_scale": 1.5},
@@ -385,8 +457,78 @@ mod tests {
                 "spring_direction": "along_field", "smoothing": false, "freezing": false, "subvoxel": false, "rest_voxels": 0.1,
                 "max_steps": 100, "record_distances": true,
             },
+            "refine": serde_json::to_value(chosen::RefineParameters::default()).unwrap(),
         });
         assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
+        let mut clinical = serde_json::to_value(chosen::Parameters::clinical()).unwrap();
+        merge(
+            &mut clinical,
+            json!({
+                "region": sent["region"].clone(), "pose": {"apex_mm": [90.0, 80.0, 20.0], "base_mm": [91.0, 82.0, 100.5]}, "mesh": {"level": 2},
+                "refine": {"psf_fwhm_mm": 12.5, "base_tilt": false, "wall_conservation": false, "temporal_prior": false, "shape_prior": false,
+                           "uptake_map": false},
+            }),
+        );
+        assert_eq!(serde_json::to_value(parse(&clinical).and_then(resolve).unwrap()).unwrap(), clinical);
+        let off = json!({"refine": {"enabled": false}});
+        assert!(!parse(&off).and_then(resolve).unwrap().refine.enabled);
+    }
+
+    #[test]
+    fn what_belongs_to_the_other_preset_is_refused_by_name() {
+        for (sent, pointer) in [
+            (json!({"edges": {"sigma": 1.0}}), "/edges/sigma"),
+            (json!({"edges": {"operator": "gradient"}}), "/edges/operator"),
+            (json!({"gvf": {"mu": 5}}), "/gvf/mu"),
+            (json!({"mesh": {"seed": "previous_gate"}}), "/mesh/seed"),
+            (json!({"mesh": {"seed_scale": 1.5}}), "/mesh/seed_scale"),
+            (json!({"deform": {"model": "plane"}}), "/deform/model"),
+            (json!({"deform": {"stretch": {"k": 20}}}), "/deform/stretch/k"),
+            (json!({"deform": {"record_distances": true}}), "/deform/record_distances"),
+            (json!({"preset": "paper", "pose": {"apex_mm": [1, 2, 3]}}), "/pose/apex_mm"),
+            (json!({"preset": "paper", "pose": {"base_mm": [1, 2, 3]}}), "/pose/base_mm"),
+            (json!({"preset": "paper", "refine": {"enabled": false}}), "/refine/enabled"),
+            (json!({"preset": "paper", "refine": {"psf_fwhm_mm": 12}}), "/refine/psf_fwhm_mm"),
+            (json!({"preset": "paper", "refine": {"uptake_map": false}}), "/refine/uptake_map"),
+            (json!({"refine": {"enabled": false, "psf_fwhm_mm": 12}}), "/refine/psf_fwhm_mm"),
+            (json!({"refine": {"enabled": false, "base_tilt": false}}), "/refine/base_tilt"),
+            (json!({"refine": {"enabled": false, "wall_conservation": false}}), "/refine/wall_conservation"),
+            (json!({"refine": {"enabled": false, "temporal_prior": false}}), "/refine/temporal_prior"),
+            (json!({"refine": {"enabled": false, "shape_prior": false}}), "/refine/shape_prior"),
+            (json!({"refine": {"enabled": false, "uptake_map": false}}), "/refine/uptake_map"),
+        ] {
+            assert_eq!(refused(&sent), [("invalid_parameter", pointer.to_owned())], "{sent}");
+        }
+        let error = parse(&json!({"edges": {"sigma": 1, "low": 0.1}})).and_then(resolve).unwrap_err();
+        assert_eq!(
+            error.complaints[1].detail,
+            "`edges.sigma` changes nothing with the preset `clinical`; leave it out or choose the preset `paper`."
+        );
+        assert_eq!(error.complaints.len(), 2, "all at once");
+    }
+
+    #[test]
+    fn the_parameters_of_a_report_can_be_sent_again() {
+        let mut given = chosen::Parameters::clinical();
+        given.refine.psf_fwhm_mm = Some(11.0);
+        given.pose.apex_mm = Some([1.0, 2.0, 3.0]);
+        let mut off = chosen::Parameters::clinical();
+        off.refine.enabled = false;
+        for parameters in [chosen::Parameters::clinical(), chosen::Parameters::paper(), given, off] {
+            let sent = serde_json::to_value(&parameters).unwrap();
+            assert_eq!(parse(&sent).and_then(resolve).unwrap(), parameters);
+        }
+    }
+
+    /// As the version before wrote them: without `pose` and `refine`.
+    #[test]
+    fn parameters_of_the_version_before_are_still_read() {
+        let mut before = serde_json::to_value(chosen::Parameters::paper()).unwrap();
+        for later in ["pose", "refine"] {
+            before.as_object_mut().unwrap().remove(later);
+        }
+        assert_eq!(serde_json::from_value::<chosen::Parameters>(before.clone()).unwrap(), chosen::Parameters::paper());
+        assert_eq!(parse(&before).and_then(resolve).unwrap(), chosen::Parameters::paper());
     }
 
     #[test]
@@ -416,7 +558,7 @@ mod tests {
 
     #[test]
     fn fields_belonging_together_are_compared() {
-        assert_eq!(refused(&json!({"edges": {"low": 0.9}})), [("invalid_parameter", "/edges/low".to_owned())]);
+        assert_eq!(refused(&json!({"preset": "paper", "edges": {"low": 0.9}})), [("invalid_parameter", "/edges/low".to_owned())]);
         assert_eq!(
             refused(&json!({"region": {"first_slice": 9, "last_slice": 3}})),
             [("invalid_parameter", "/region/first_slice".to_owned())]
@@ -432,14 +574,22 @@ mod tests {
             (json!({"model": "restricted_spring_mass", "shear": {"k": 2}}), "/deform/shear"),
             (json!({"model": "plane", "spring_direction": "across_field"}), "/deform/spring_direction"),
         ] {
-            assert_eq!(refused(&json!({"deform": deform.clone()})), [("invalid_parameter", pointer.to_owned())], "{deform}");
+            assert_eq!(
+                refused(&json!({"preset": "paper", "deform": deform.clone()})),
+                [("invalid_parameter", pointer.to_owned())],
+                "{deform}"
+            );
         }
         for (edges, pointer) in [
             (json!({"threshold": 0.4}), "/edges/threshold"),
             (json!({"operator": "gradient", "sigma": 1.0}), "/edges/sigma"),
             (json!({"operator": "gradient", "low": 0.1}), "/edges/low"),
         ] {
-            assert_eq!(refused(&json!({"edges": edges.clone()})), [("invalid_parameter", pointer.to_owned())], "{edges}");
+            assert_eq!(
+                refused(&json!({"preset": "paper", "edges": edges.clone()})),
+                [("invalid_parameter", pointer.to_owned())],
+                "{edges}"
+            );
         }
     }
 
@@ -447,7 +597,7 @@ mod tests {
     fn every_model_goes_with_every_solver_but_one() {
         for model in ["free", "spring_mass", "restricted_spring_mass", "plane"] {
             for solver in ["euler", "midpoint", "rk4", "implicit_euler"] {
-                let sent = json!({"deform": {"model": model, "solver": solver}});
+                let sent = json!({"preset": "paper", "deform": {"model": model, "solver": solver}});
                 let refused = parse(&sent).and_then(resolve).is_err();
                 assert_eq!(refused, (model, solver) == ("restricted_spring_mass", "implicit_euler"), "{sent}");
             }
@@ -456,17 +606,16 @@ mod tests {
 
     #[test]
     fn the_plane_model_brings_its_solver_and_time_step() {
-        let deform = parse(&json!({"deform": {"model": "plane"}})).and_then(resolve).unwrap().deform;
+        let deform = parse(&json!({"preset": "paper", "deform": {"model": "plane"}})).and_then(resolve).unwrap().deform;
         assert_eq!((deform.solver, deform.time_step_s), (chosen::Solver::ImplicitEuler, 0.05));
-        let given = parse(&json!({"deform": {"model": "plane", "solver": "rk4", "time_step_s": 0.01}})).and_then(resolve).unwrap().deform;
+        let given = json!({"preset": "paper", "deform": {"model": "plane", "solver": "rk4", "time_step_s": 0.01}});
+        let given = parse(&given).and_then(resolve).unwrap().deform;
         assert_eq!((given.solver, given.time_step_s), (chosen::Solver::Rk4, 0.01));
     }
 
     #[test]
     fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        for sent in
-            [json!({"preset": "clinical"}), json!({"pose": {}}), json!({"refine": {"enabled": true}}), json!({"retention_seconds": 60})]
-        {
+        for sent in [json!({"metadata": {}}), json!({"retention_seconds": 60}), json!({"callback_url": "http://127.0.0.1/"})] {
             assert_eq!(refused(&sent)[0].0, "unavailable_parameter", "{sent}");
         }
     }

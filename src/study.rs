@@ -113,7 +113,7 @@ impl Acquisition {
     }
 }
 
-/// Code of the warning that the slices are said not to be short-axis slices.
+/// Code of the warning that the slices are said not to be short-axis slices, which only the preset `paper` needs.
 pub const LONG_AXIS_SLICES: &str = "long_axis_slices";
 
 /// Something the reader of a result should know: a stable code for programs, a sentence for people.

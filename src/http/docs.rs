@@ -1,7 +1,10 @@
 //! The contract, its reference page, and what stands at the root.
 
 use super::{AppState, problem::Problem};
-use crate::parameters::{self, Description};
+use crate::{
+    parameters::{self, Description},
+    pipeline::parameters::Parameters,
+};
 use axum::{
     Json, Router,
     extract::State,
@@ -58,11 +61,25 @@ pub(super) fn document_other_problems(document: &mut utoipa::openapi::OpenApi) {
 /// All parameters.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct ParameterList {
-    /// What is used when nothing is given.
+    /// What is used when nothing is given: the preset `clinical`, with the other preset's values of what only that one reads.
     #[schema(value_type = parameters::Request)]
-    pub defaults: crate::pipeline::parameters::Parameters,
+    pub defaults: Parameters,
+    /// What each preset uses when nothing else is given.
+    #[schema(inline)]
+    pub presets: Presets,
     /// Every parameter: what it is, its default, its range.
     pub parameters: Vec<Description>,
+}
+
+/// The named sets of values.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct Presets {
+    /// The default.
+    #[schema(value_type = parameters::Request)]
+    pub clinical: Parameters,
+    /// The published method.
+    #[schema(value_type = parameters::Request)]
+    pub paper: Parameters,
 }
 
 /// Lists the parameters with their defaults, ranges and meaning.
@@ -71,7 +88,11 @@ pub(super) struct ParameterList {
     responses((status = 200, description = "All parameters", body = ParameterList)),
 )]
 pub(super) async fn list_parameters() -> Json<ParameterList> {
-    Json(ParameterList { defaults: crate::pipeline::parameters::Parameters::paper(), parameters: parameters::describe() })
+    Json(ParameterList {
+        defaults: Parameters::clinical(),
+        presets: Presets { clinical: Parameters::clinical(), paper: Parameters::paper() },
+        parameters: parameters::describe(),
+    })
 }
 
 /// Reads this document.

@@ -12,7 +12,7 @@ use crate::{
     intake, jobs,
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
     parameters,
-    pipeline::region,
+    pipeline::{pose, region},
     study::Format,
 };
 use axum::{
@@ -40,8 +40,8 @@ const OWNER: &str = "anonymous";
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "documents the query; what is read are its raw pairs, since parameters may be given by dotted names")]
 pub(super) struct SubmitQuery {
-    /// The named set of parameters to start from: `paper`.
-    #[param(example = "paper")]
+    /// The named set of parameters to start from: `clinical` (the default) or `paper`.
+    #[param(example = "clinical")]
     preset: Option<String>,
     /// Distance between voxel centres along slices, rows and columns in mm, `z,y,x`. Needed with `application/x-npy`, which cannot say it, and
     /// refused with all else, which says it.
@@ -185,6 +185,7 @@ fn receive(
     let parameters = parameters::parse(&merged_parameters(received.parameters, upload.parameters, query))?;
     let parameters = parameters::resolve(parameters)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
+    pose::check_marks(&received.study.grid, &parameters.pose)?;
     Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters })
 }
 

@@ -24,7 +24,7 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Job, example = json!({
     "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11", "state": "running",
-    "progress": {"fraction": 0.42, "stage": "gradient_vector_flow", "gates_done": 3, "gates_total": 8},
+    "progress": {"fraction": 0.42, "stage": "model_fit", "gates_done": 3, "gates_total": 8},
     "queue_position": null, "eta_seconds": 1.8, "attempt": 1, "cancel_requested": false, "study_instance_uid": null,
     "created_at": "2026-01-02T03:04:05Z", "started_at": "2026-01-02T03:04:06Z", "finished_at": null, "error": null,
     "links": {
@@ -118,7 +118,8 @@ pub struct ProgressView {
     /// Part of the work done, 0 to 1.
     #[schema(minimum = 0, maximum = 1)]
     pub fraction: f64,
-    /// What is being computed: `region`, `edges`, `borders`, `gradient_vector_flow`, `deformation`, `wall` or `measurement`; null when not running.
+    /// What is being computed; null when not running. Preset `clinical`: `localisation`, `rays`, `model_fit`, `wall`, `measurement`. Preset `paper`:
+    /// `region`, `edges`, `borders`, `gradient_vector_flow`, `deformation`, `wall`, `measurement`. Others may be added.
     #[schema(required)]
     pub stage: Option<String>,
     /// Gates finished.

@@ -34,6 +34,8 @@ pub struct Progress {
 #[derive(Debug, Default)]
 struct Timeline {
     snapshot: Snapshot,
+    /// Gates of the study.
+    gates: u64,
     /// By thread too, since both surfaces of a gate are in the same stage at once; a list, since a thread that waits for one surface may
     /// begin the other's.
     under_way: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
@@ -48,6 +50,11 @@ impl Progress {
 
     fn state(&self) -> MutexGuard<'_, Timeline> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says how many gates the study has; without it none is ever counted as done.
+    pub fn expect_gates(&self, gates: usize) {
+        self.state().gates = gates as u64;
     }
 
     /// Asks the reconstruction to stop.
@@ -93,8 +100,10 @@ impl Monitor for Progress {
         let fraction = (done as f64 / total as f64).min(1.0);
         let mut state = self.state();
         state.snapshot.fraction = state.snapshot.fraction.max(fraction);
-        // The pipeline's unit of work is the gate. The stages of a gate run once a surface, so they do not tell when it is done.
-        state.snapshot.gates_done = state.snapshot.gates_done.max(done as u64);
+        // Units of work are gates, or steps that advance all gates alike. The stages of a gate run once a surface, so they do not tell when
+        // it is done.
+        let gates_done = state.gates * done.min(total) as u64 / total as u64;
+        state.snapshot.gates_done = state.snapshot.gates_done.max(gates_done);
     }
 
     fn is_cancelled(&self) -> bool {
@@ -109,6 +118,7 @@ mod tests {
     #[test]
     fn progress_never_goes_back_and_counts_finished_gates() {
         let progress = Progress::begin_now();
+        progress.expect_gates(8);
         progress.advance(3, 8);
         progress.advance(2, 8);
         progress.begin(Stage::Edges, Some(0));
@@ -117,6 +127,10 @@ mod tests {
         progress.end(Stage::Measurement, Some(0));
         assert_eq!(progress.snapshot(), Snapshot { fraction: 0.375, stage: Some(Stage::Measurement), gates_done: 3 });
         assert_eq!(progress.stages_ms().keys().collect::<Vec<_>>(), ["edges", "measurement"]);
+        progress.advance(50, 100);
+        assert_eq!((progress.snapshot().fraction, progress.snapshot().gates_done), (0.5, 4), "other units count in proportion");
+        progress.advance(100, 100);
+        assert_eq!(progress.snapshot().gates_done, 8);
         assert!(!progress.is_cancelled());
         progress.cancel();
         assert!(progress.is_cancelled());

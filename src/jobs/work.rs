@@ -66,6 +66,8 @@ pub type Work = Arc<dyn Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<O
 /// every gate (VTK).
 pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, progress: &Progress) -> Result<Vec<Output>, WorkError> {
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
+    // A fit that came to rest early stops short of its steps.
+    progress.advance(1, 1);
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
     let report = report::build(&id.to_string(), study, &reconstruction, &timing);
     let report = serde_json::to_vec(&report).map_err(|error| WorkError::Internal(format!("report: {error}")))?;

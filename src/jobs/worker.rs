@@ -215,6 +215,7 @@ impl Worker {
             let internal = |error: &dyn std::fmt::Display| WorkError::Internal(format!("stored job: {error}"));
             let study = input::decode(&input).map_err(|error| internal(&error))?;
             drop(input);
+            progress.expect_gates(study.gates.len());
             let parameters = serde_json::from_str(&parameters).map_err(|error| internal(&error))?;
             work(&study, &parameters, id, &progress)
         })

@@ -5,16 +5,9 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use utoipa::PartialSchema;
 
-/// Fields and values that the published contract names and this version does not have yet: a client that sends one is told so, and
-/// not that it does not exist.
-const NOT_YET_AVAILABLE: [(&str, Option<&[&str]>); 6] = [
-    ("/preset", Some(&["clinical"])),
-    ("/pose", None),
-    ("/refine", None),
-    ("/metadata", None),
-    ("/retention_seconds", None),
-    ("/callback_url", None),
-];
+/// Fields that the published contract names and this version does not have yet: a client that sends one is told so, and not that it does not
+/// exist.
+const NOT_YET_AVAILABLE: [&str; 3] = ["/metadata", "/retention_seconds", "/callback_url"];
 
 /// The schema of [`Request`] as plain JSON, without references.
 pub(super) fn schema() -> Value {
@@ -42,7 +35,7 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
         return;
     }
     let mut complain = |code, pointer: &str, detail: String| complaints.push(Complaint { code, pointer: pointer.to_owned(), detail });
-    if let Some(detail) = not_yet_available(value, pointer) {
+    if let Some(detail) = not_yet_available(pointer) {
         return complain("unavailable_parameter", pointer, detail);
     }
     let schema = not_null(schema);
@@ -75,7 +68,7 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
                 let pointer = format!("{pointer}/{}", field.replace('~', "~0").replace('/', "~1"));
                 match schema["properties"].get(field) {
                     Some(property) => check(value, property, &pointer, complaints),
-                    None => complaints.push(unknown(value, &pointer, schema)),
+                    None => complaints.push(unknown(&pointer, schema)),
                 }
             }
         }
@@ -83,8 +76,8 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
     }
 }
 
-fn unknown(value: &Value, pointer: &str, schema: &Value) -> Complaint {
-    if let Some(detail) = not_yet_available(value, pointer) {
+fn unknown(pointer: &str, schema: &Value) -> Complaint {
+    if let Some(detail) = not_yet_available(pointer) {
         return Complaint { code: "unavailable_parameter", pointer: pointer.to_owned(), detail };
     }
     let mut detail = format!("{} is not a parameter", dotted(pointer));
@@ -95,20 +88,13 @@ fn unknown(value: &Value, pointer: &str, schema: &Value) -> Complaint {
     Complaint { code: "unknown_parameter", pointer: pointer.to_owned(), detail: detail + "." }
 }
 
-fn not_yet_available(value: &Value, pointer: &str) -> Option<String> {
-    let (_, values) = NOT_YET_AVAILABLE.iter().find(|(field, _)| *field == pointer)?;
-    let name = dotted(pointer);
-    match values {
-        None => Some(format!("{name} is not available in this version; leave it out.")),
-        Some(values) => {
-            let value = value.as_str().filter(|value| values.contains(value))?;
-            Some(format!("{name} {value:?} is not available in this version."))
-        }
-    }
+fn not_yet_available(pointer: &str) -> Option<String> {
+    let known = NOT_YET_AVAILABLE.contains(&pointer);
+    known.then(|| format!("{} is not available in this version; leave it out.", dotted(pointer)))
 }
 
 /// A pointer as people write it: `` `edges.sigma` ``.
-fn dotted(pointer: &str) -> String {
+pub(super) fn dotted(pointer: &str) -> String {
     if pointer.is_empty() { "`parameters`".into() } else { format!("`{}`", shorten(&pointer[1..].replace('/', "."))) }
 }
 

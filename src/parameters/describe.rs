@@ -1,6 +1,9 @@
 //! What every parameter is, for `GET /v1/parameters`: read from the schema, so that it cannot differ from what is checked.
 
-use super::check::{kind, not_null, schema};
+use super::{
+    check::{kind, not_null, schema},
+    idle,
+};
 use serde::Serialize;
 use serde_json::Value;
 use utoipa::ToSchema;
@@ -17,7 +20,10 @@ pub struct Description {
     #[serde(rename = "type")]
     #[schema(example = "number")]
     pub kind: String,
-    /// Value when left out; absent where it is estimated from the counts.
+    /// The presets that read it: `clinical`, `paper` or both. With another one a value that departs from the default is refused.
+    #[schema(value_type = Vec<String>, example = json!(["paper"]))]
+    pub presets: Vec<&'static str>,
+    /// Value when left out, with the presets that read it; absent where it is estimated from the counts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub default: Option<Value>,
     /// Smallest value allowed.
@@ -48,6 +54,7 @@ fn describe_fields(schema: &Value, prefix: &str, out: &mut Vec<Description>) {
             continue;
         }
         out.push(Description {
+            presets: idle::presets(&pointer),
             pointer,
             description: property["description"].as_str().or(field["description"].as_str()).unwrap_or_default().to_owned(),
             kind: kind(field).to_owned(),

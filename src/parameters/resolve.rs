@@ -1,6 +1,10 @@
 //! From what a client wrote to the parameters of the pipeline.
 
-use super::{Deform, EdgeMode, EdgeOperator, Edges, Model, ParameterError, Preset, Request, Seed, Solver, SpringDirection, parse};
+use super::{
+    Deform, EdgeMode, EdgeOperator, Edges, Model, ParameterError, Preset, Refine, Request, Seed, Solver, SpringDirection,
+    idle::{self, refuse_idle},
+    parse,
+};
 use crate::pipeline::parameters as chosen;
 
 /// Time step of the plane model with implicit Euler where none is given: the paper's Table 1, column "Plane (2)".
@@ -12,9 +16,15 @@ const PLANE_TIME_STEP_S: f64 = 0.05;
 pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
     let written = serde_json::to_value(&request).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))?;
     parse(&written)?;
-    let mut out = match request.preset.unwrap_or(Preset::Paper) {
+    let mut out = match request.preset.unwrap_or(Preset::Clinical) {
+        Preset::Clinical => chosen::Parameters::clinical(),
         Preset::Paper => chosen::Parameters::paper(),
     };
+    idle::refuse_of_other_preset(&written, &out)?;
+    refine(&mut out.refine, &request.refine.unwrap_or_default());
+    if !out.refine.enabled {
+        idle::refuse_without_model(&written, &chosen::Parameters::clinical())?;
+    }
     let region = request.region.unwrap_or_default();
     out.region = chosen::RegionMarks {
         centre_mm: region.centre_mm,
@@ -22,6 +32,8 @@ pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
         first_slice: region.first_slice,
         last_slice: region.last_slice,
     };
+    let pose = request.pose.unwrap_or_default();
+    out.pose = chosen::PoseMarks { apex_mm: pose.apex_mm, base_mm: pose.base_mm };
     edges(&mut out.edges, &request.edges.unwrap_or_default())?;
     let gvf = request.gvf.unwrap_or_default();
     out.gvf.mu = gvf.mu.unwrap_or(out.gvf.mu);
@@ -42,6 +54,18 @@ pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
         return Err(invalid("/region/first_slice", detail));
     }
     Ok(out)
+}
+
+fn refine(out: &mut chosen::RefineParameters, given: &Refine) {
+    *out = chosen::RefineParameters {
+        enabled: given.enabled.unwrap_or(out.enabled),
+        psf_fwhm_mm: given.psf_fwhm_mm.or(out.psf_fwhm_mm),
+        base_tilt: given.base_tilt.unwrap_or(out.base_tilt),
+        wall_conservation: given.wall_conservation.unwrap_or(out.wall_conservation),
+        temporal_prior: given.temporal_prior.unwrap_or(out.temporal_prior),
+        shape_prior: given.shape_prior.unwrap_or(out.shape_prior),
+        uptake_map: given.uptake_map.unwrap_or(out.uptake_map),
+    };
 }
 
 fn edges(out: &mut chosen::EdgeParameters, given: &Edges) -> Result<(), ParameterError> {
@@ -127,18 +151,6 @@ fn deform(out: &mut chosen::DeformParameters, given: &Deform) -> Result<(), Para
         ("spring_direction", out.spring_direction != preset.spring_direction && model != chosen::Model::RestrictedSpringMass),
     ];
     refuse_idle(&idle, "deform", &format!("the model `{used}`"))
-}
-
-/// Refuses what departs from the preset and would change nothing: whoever sends it expects something to happen. The preset's own values
-/// pass, so that a report's parameters can be sent again.
-fn refuse_idle(fields: &[(&str, bool)], part: &str, beside: &str) -> Result<(), ParameterError> {
-    match fields.iter().find(|(_, idle)| *idle) {
-        None => Ok(()),
-        Some((field, _)) => Err(invalid(
-            &format!("/{part}/{field}"),
-            format!("`{part}.{field}` changes nothing with {beside}; leave it out or choose another."),
-        )),
-    }
 }
 
 fn differs(a: f64, b: f64) -> bool {

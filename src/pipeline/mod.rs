@@ -189,21 +189,24 @@ pub enum PipelineError {
     #[error("The reconstruction was cancelled.")]
     Cancelled,
     /// Nothing in the counts looks like a left ventricle.
-    #[error("No left ventricle was found: {why}. Send a short-axis reconstruction of the heart, or mark the ventricle with `region`.")]
+    #[error(
+        "No left ventricle was found: {why}. Send a reconstruction of the heart (for the preset `paper`, of short-axis slices), or mark the \
+         ventricle with `pose` or `region`."
+    )]
     NoLeftVentricle {
         /// What was looked for and not found.
         why: String,
     },
     /// A mark given in the request does not fit the study.
-    #[error("The given region does not fit the study: {why}.")]
+    #[error("The given marks do not fit the study: {why}.")]
     RegionOutside {
         /// Which mark, its value and the limits.
         why: String,
     },
-    /// The slices are said not to be short axis, and nothing was found in them.
+    /// The slices are said not to be short axis, and the paper's method, which needs them so, found nothing in them.
     #[error(
-        "The file names its slices as long-axis slices, and in them no left ventricle was reconstructed ({why}). The method looks for rings: \
-         send the study resliced to its short axis."
+        "The file names its slices as long-axis slices, and in them no left ventricle was reconstructed ({why}). The preset `paper` looks for \
+         rings: choose `clinical`, or send the study resliced to its short axis."
     )]
     NotShortAxis {
         /// What was looked for and not found.

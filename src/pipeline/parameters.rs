@@ -1,5 +1,5 @@
 //! Everything about a reconstruction that can be chosen, resolved: no optional field is left open but the region, which is estimated
-//! where it is not given. [`Parameters::paper`] holds the defaults and says where each comes from.
+//! where it is not given. [`Parameters::paper`] holds the values and says where each comes from; [`Parameters::clinical`] is the default.
 
 use serde::{Deserialize, Serialize};
 

@@ -58,7 +58,7 @@ const MASK_RIM: f64 = 0.02;
 /// The valve plane moves towards the apex by 8-16 mm in systole; a gate's end is looked for this far from the study's.
 const BASE_MOTION_MM: f64 = 18.0;
 /// Room left outside the mid-wall by an estimated filtering circle: half a wall, the blur, and 10 mm of motion.
-const CIRCLE_MARGIN_MM: f64 = 30.0;
+pub(super) const CIRCLE_MARGIN_MM: f64 = 30.0;
 
 impl Extent {
     /// From the axis to a point, in the plane of its slice.

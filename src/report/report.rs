@@ -3,9 +3,16 @@
 //! Names are part of the HTTP contract: fields are added, never renamed. Values are the full `f64`, unrounded, so that reports compare
 //! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
 
-use super::{fits::SurfaceFits, wall::WallSummary};
+use super::{
+    fits::SurfaceFits,
+    model::{GateModel, ModelSummary},
+    pose::PoseSummary,
+    quality::{Evidence, QUALITY_LIMITS, Quality, assess},
+    uncertainty::UncertaintySummary,
+    wall::WallSummary,
+};
 use crate::{
-    pipeline::{GateReconstruction, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop},
+    pipeline::{GateReconstruction, Reconstruction, Region, Surface, clinical::GateFit, parameters::Parameters},
     study::{Affected, AffectedArc, Format, Study, Warning},
 };
 use glam::DVec3;
@@ -19,19 +26,6 @@ pub const SCHEMA: &str = "ventricle.report/1";
 /// Density of myocardium in g/ml: 1.053 for blood-perfused rat heart (Vinnakota and Bassingthwaighte, Am J Physiol Heart Circ Physiol
 /// 286:H1742, 2004), 1.05 by the convention of the cardiac imaging societies, which is what other packages multiply with.
 pub const MYOCARDIAL_DENSITY_G_PER_ML: f64 = 1.05;
-
-/// Beyond which a result carries a flag.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct QualityLimits {
-    /// Fraction of a surface's particles that must end within one voxel of the border, 0-1.
-    pub within_one_voxel: f64,
-    /// Coefficient of variation of the wall's volume over the cycle, in percent.
-    pub wall_variation_percent: f64,
-}
-
-/// The limits in use. The paper's free model ends with 97 % of the particles within one voxel (its Table 1); 95 % leaves room for noise.
-/// Myocardium is nearly incompressible, so a wall whose volume varies by more than 5 % over the cycle was measured wrongly in some gate.
-pub const QUALITY_LIMITS: QualityLimits = QualityLimits { within_one_voxel: 0.95, wall_variation_percent: 5.0 };
 
 /// What was found in a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -55,6 +49,15 @@ pub struct Report {
     /// Where the slices cut the ventricle; null where they do not cut it across (long-axis or transaxial slices).
     #[schema(required)]
     pub region: Option<RegionSummary>,
+    /// Where the ventricle lies, however the slices lie; null with the preset `paper`.
+    #[schema(required)]
+    pub pose: Option<PoseSummary>,
+    /// What the model of the camera says of the study; null with the preset `paper`.
+    #[schema(required)]
+    pub model: Option<ModelSummary>,
+    /// How uncertain the values are; null with the preset `paper`, and where no model was fitted.
+    #[schema(required)]
+    pub uncertainty: Option<UncertaintySummary>,
     /// How far the result can be relied on, as far as the computation itself can tell.
     pub quality: Quality,
     /// The parameters used, each with its value.
@@ -142,6 +145,9 @@ pub struct GateReport {
     pub wall: WallSummary,
     /// How the surfaces were reached.
     pub fit: SurfaceFits,
+    /// The model's numbers for the gate; null with the preset `paper`.
+    #[schema(required)]
+    pub model: Option<GateModel>,
 }
 
 /// The wall over the cycle.
@@ -172,19 +178,6 @@ pub struct RegionSummary {
     pub last_slice: usize,
     /// Whether the base is at the last slice rather than at the first.
     pub base_at_last_slice: bool,
-}
-
-/// What the computation can tell of its own result.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Quality {
-    /// 0-1: the mean, over gates and surfaces, of the fraction of particles within one voxel of the detected border. 1 says that every
-    /// surface reached its border. It does not say that the border is the heart's: judge that by the flags and by eye.
-    pub score: f64,
-    /// Stable codes; each has a sentence of the same code in `warnings`. `not_converged`: a surface has less than 95 % of its particles
-    /// within one voxel of its border. `myocardial_volume_not_conserved`: the wall's volume varies by more than 5 % over the cycle.
-    /// `step_limit`: a mesh was still moving after `deform.max_steps`. `surfaces_cross`: a cavity is not smaller than the volume inside the
-    /// outer surface.
-    pub flags: Vec<String>,
 }
 
 /// One thing the reader should know.
@@ -257,18 +250,43 @@ pub struct Timing {
 
 /// The report of a reconstruction; `id` is the reconstruction's.
 pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
-    let gates: Vec<GateReport> =
-        (1..).zip(&reconstruction.gates).map(|(number, gate)| gate_report(number, gate, reconstruction.to_base)).collect();
+    let model = reconstruction.model.as_ref();
+    let gates: Vec<GateReport> = reconstruction
+        .gates
+        .iter()
+        .enumerate()
+        .map(|(gate, result)| gate_report(gate + 1, result, reconstruction.to_base, model.and_then(|model| model.gates.get(gate))))
+        .collect();
     let myocardium = myocardium(&gates);
-    let (quality, flagged) = assess(&gates, &myocardium, &QUALITY_LIMITS);
+    let cavity_ml: Vec<f64> = gates.iter().map(|gate| gate.endocardial_ml).collect();
+    let function = Function::of_cavity(&cavity_ml);
+    let errors = model.and_then(|model| model.uncertainty.as_ref());
+    let uncertainty =
+        errors.zip(cavity_ml.first()).map(|(errors, &first_ml)| UncertaintySummary::of(errors, function.as_ref(), first_ml, &myocardium));
+    let pose = reconstruction.pose.as_ref().map(|pose| PoseSummary::of(pose, study.orientation.as_ref()));
+    let model = model.map(ModelSummary::from);
+    let (quality, flagged) = assess(
+        &Evidence {
+            gates: &gates,
+            myocardium: &myocardium,
+            function: function.as_ref(),
+            pose: pose.as_ref(),
+            model: model.as_ref(),
+            refine: reconstruction.parameters.refine.enabled,
+        },
+        &QUALITY_LIMITS,
+    );
     Report {
         schema: SCHEMA.to_owned(),
         id: id.to_owned(),
         software: Software { name: env!("CARGO_PKG_NAME").to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
         study: study_summary(study),
-        function: Function::of_cavity(&gates.iter().map(|gate| gate.endocardial_ml).collect::<Vec<_>>()),
+        function,
         myocardium,
         region: reconstruction.region.map(RegionSummary::from),
+        pose,
+        model,
+        uncertainty,
         quality,
         parameters: reconstruction.parameters.clone(),
         warnings: study.warnings.iter().chain(&reconstruction.warnings).chain(&flagged).map(Remark::from).collect(),
@@ -291,7 +309,7 @@ fn study_summary(study: &Study) -> StudySummary {
     }
 }
 
-fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3) -> GateReport {
+fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3, model: Option<&GateFit>) -> GateReport {
     GateReport {
         gate: number,
         endocardial_ml: gate.volume_ml(Surface::Endocardial),
@@ -299,6 +317,7 @@ fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3) -> Gate
         myocardial_ml: gate.myocardial_ml(),
         wall: WallSummary::of(gate, to_base),
         fit: SurfaceFits { endocardial: (&gate.fits.endocardial).into(), epicardial: (&gate.fits.epicardial).into() },
+        model: model.map(GateModel::from),
     }
 }
 
@@ -336,52 +355,6 @@ fn myocardium(gates: &[GateReport]) -> Myocardium {
     let variance = gates.iter().map(|gate| (gate.myocardial_ml - mean_ml).powi(2)).sum::<f64>() / count;
     let variation_percent = (gates.len() > 1 && mean_ml > 0.0).then(|| 100.0 * variance.sqrt() / mean_ml);
     Myocardium { mass_g: MYOCARDIAL_DENSITY_G_PER_ML * mean_ml, mean_ml, variation_percent }
-}
-
-/// The score, the flags and, for each flag, sentences that say what and where.
-fn assess(gates: &[GateReport], myocardium: &Myocardium, limits: &QualityLimits) -> (Quality, Vec<Warning>) {
-    let mut warnings = Vec::new();
-    let mut converged = Vec::new();
-    for gate in gates {
-        let fits = [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)];
-        for (surface, fit) in fits {
-            let Some(percent) = fit.within_one_voxel_percent else { continue };
-            let within = percent / 100.0;
-            converged.push(within);
-            if within < limits.within_one_voxel {
-                let name = surface.name();
-                let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
-                warnings.push(Warning::at_gate(gate.gate, "not_converged", text));
-            }
-        }
-        for (surface, fit) in fits {
-            if fit.stop == Some(Stop::StepLimit) {
-                let text =
-                    format!("The {} surface had not come to rest after {} steps, the most that were allowed.", surface.name(), fit.steps);
-                warnings.push(Warning::at_gate(gate.gate, "step_limit", text));
-            }
-        }
-        if gate.myocardial_ml <= 0.0 {
-            let text = format!(
-                "The cavity ({:.1} ml) is not smaller than the volume inside the outer surface ({:.1} ml).",
-                gate.endocardial_ml, gate.epicardial_ml
-            );
-            warnings.push(Warning::at_gate(gate.gate, "surfaces_cross", text));
-        }
-    }
-    if let Some(percent) = myocardium.variation_percent.filter(|&percent| percent > limits.wall_variation_percent) {
-        let text =
-            format!("The wall's volume varies by {percent:.1} % over the cycle; myocardium keeps its volume, so at least one gate is off.");
-        warnings.push(Warning::new("myocardial_volume_not_conserved", text));
-    }
-    let mut flags: Vec<String> = Vec::new();
-    for warning in &warnings {
-        if !flags.contains(&warning.code) {
-            flags.push(warning.code.clone());
-        }
-    }
-    let score = converged.iter().sum::<f64>() / converged.len().max(1) as f64;
-    (Quality { score, flags }, warnings)
 }
 
 impl From<Region> for RegionSummary {

@@ -39,7 +39,7 @@ fn the_demo_shows_what_reconstruct_computes_without_a_service() {
     let folder = folder("demo");
     let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let shown = said(&ventricle(&["demo", "--once", "--listen", "127.0.0.1:0", "--data-dir", &at("data"), "--output", &at("out")]));
-    for expected in ["EDV", "ESV", "EF", "mass", "endocardial", "exact values", "surfaces.glb"] {
+    for expected in ["EDV", "ESV", "EF", "mass", "±", "PSF", "endocardial", "exact values", "surfaces.glb"] {
         assert!(shown.contains(expected), "{expected} is missing in:\n{shown}");
     }
     let by_service = comparable(&folder.join("out/report.json"));

@@ -3,6 +3,7 @@
 mod following;
 mod harness;
 mod operating;
+mod presets;
 mod refusing;
 mod socket;
 mod submitting;

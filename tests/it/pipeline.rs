@@ -1,4 +1,4 @@
-//! The paper preset against exact truth, invariances and real studies.
+//! The paper preset (and where it says so, the clinical one) against exact truth, invariances and real studies.
 //!
 //! Accuracy of volumes is published by the accuracy report, not bounded here: the paper's method loses 25-60 % of a volume to its own blur
 //! (`docs/numerics.md`). What is asserted is convergence, topology, order and what must not change the result.
@@ -9,7 +9,7 @@ use ventricle::{
     mesh::Mesh,
     phantom::{self, Cylinder, Imaging, Phantom, Pose, Psf, Shape, Uptake, Ventricle},
     pipeline::{
-        PipelineError, Reconstruction, Surface,
+        Evolution, PipelineError, Reconstruction, Surface,
         monitor::{Monitor, Silent, Stage},
         parameters::{EdgeMode, EdgeOperator, Parameters},
         reconstruct,
@@ -17,12 +17,21 @@ use ventricle::{
     study::Study,
 };
 
+/// The stages the paper's method goes through.
+const PAPER_STAGES: [Stage; 7] =
+    [Stage::Region, Stage::Edges, Stage::Borders, Stage::GradientVectorFlow, Stage::Deformation, Stage::Wall, Stage::Measurement];
+
 fn simulated(phantom: &Phantom) -> Study {
     phantom::simulate(phantom).unwrap().study
 }
 
 fn paper(study: &Study) -> Reconstruction {
     reconstruct(study, &Parameters::paper(), &Silent).unwrap()
+}
+
+/// How the deformable model of the first gate reached its border.
+fn evolution(reconstruction: &Reconstruction, surface: Surface) -> &Evolution {
+    reconstruction.gates[0].fits.get(surface).evolution.as_ref().unwrap()
 }
 
 fn volumes(reconstruction: &Reconstruction, surface: Surface) -> Vec<f64> {
@@ -56,7 +65,7 @@ fn the_papers_phantom_converges_at_every_mesh_level() {
         let result = reconstruct(&study, &parameters, &Silent).unwrap();
         assert_sound(&result, &format!("level {level}"));
         for surface in Surface::BOTH {
-            let fit = result.gates[0].fits.get(surface);
+            let fit = evolution(&result, surface);
             assert!(fit.within_one_voxel >= 0.95, "level {level}, {}: {}", surface.name(), fit.within_one_voxel);
             assert!(fit.gvf_residual.iter().all(|&residual| residual <= parameters.gvf.tolerance), "{:?}", fit.gvf_residual);
         }
@@ -70,7 +79,7 @@ fn edges_in_the_volume_converge_too() {
     let result = reconstruct(&simulated(&Phantom::paper()), &parameters, &Silent).unwrap();
     assert_sound(&result, "volume mode");
     for surface in Surface::BOTH {
-        let fit = result.gates[0].fits.get(surface);
+        let fit = evolution(&result, surface);
         assert!(fit.within_one_voxel >= 0.95, "{}: {}", surface.name(), fit.within_one_voxel);
     }
 }
@@ -88,7 +97,7 @@ fn the_plain_gradient_reconstructs_in_slices_and_in_the_volume() {
             let result = reconstruct(&study, &parameters, &Silent).unwrap();
             assert_sound(&result, &format!("{name}, {mode:?}"));
             for surface in Surface::BOTH {
-                let fit = result.gates[0].fits.get(surface);
+                let fit = evolution(&result, surface);
                 assert!(fit.within_one_voxel >= 0.9, "{name}, {mode:?}, {}: {}", surface.name(), fit.within_one_voxel);
             }
         }
@@ -140,11 +149,12 @@ fn both_slice_orders_and_an_off_centre_heart_are_found() {
         assert_sound(&result, &format!("{pose:?}"));
         let truth = &simulation.truth.gates[0];
         let (apex, base) = (truth.apex_mm.unwrap(), truth.base_mm.unwrap());
-        assert_eq!(result.region.base_at_last_slice, base[2] > apex[2], "{pose:?}");
+        let region = result.region.unwrap();
+        assert_eq!(region.base_at_last_slice, base[2] > apex[2], "{pose:?}");
         // The middle of the axis is found within the wall's half thickness.
         for axis in 0..2 {
             let middle = f64::midpoint(apex[axis], base[axis]);
-            assert!((result.region.centre_mm[axis] - middle).abs() < 5.0, "{pose:?}: {:?}", result.region);
+            assert!((region.centre_mm[axis] - middle).abs() < 5.0, "{pose:?}: {region:?}");
         }
     }
 }
@@ -221,13 +231,13 @@ fn the_scale_of_the_grid_scales_the_volumes() {
 #[test]
 fn given_marks_win_over_the_estimate() {
     let study = simulated(&beating(1));
-    let estimated = paper(&study).region;
+    let estimated = paper(&study).region.unwrap();
     let mut parameters = Parameters::paper();
     parameters.region.centre_mm = Some([estimated.centre_mm[0] + 1.0, estimated.centre_mm[1]]);
     parameters.region.radius_mm = Some(55.0);
     parameters.region.first_slice = Some(estimated.first_slice + 1);
     parameters.region.last_slice = Some(estimated.last_slice);
-    let found = reconstruct(&study, &parameters, &Silent).unwrap().region;
+    let found = reconstruct(&study, &parameters, &Silent).unwrap().region.unwrap();
     assert_eq!(Some(found.centre_mm.map(f64::to_bits)), parameters.region.centre_mm.map(|centre| centre.map(f64::to_bits)));
     assert_eq!(found.radius_mm.to_bits(), 55.0_f64.to_bits());
     assert_eq!((found.first_slice, found.last_slice), (estimated.first_slice + 1, estimated.last_slice));
@@ -256,24 +266,37 @@ fn volumes_without_a_ventricle_are_refused() {
     }
 }
 
-#[test]
-fn a_cancelled_reconstruction_stops_at_the_next_stage() {
-    struct StopAt(Stage, std::sync::atomic::AtomicBool);
-    impl Monitor for StopAt {
-        fn begin(&self, stage: Stage, _gate: Option<usize>) {
-            if stage == self.0 {
-                self.1.store(true, std::sync::atomic::Ordering::Relaxed);
-            }
-        }
-        fn is_cancelled(&self) -> bool {
-            self.1.load(std::sync::atomic::Ordering::Relaxed)
+/// Cancels when a stage begins.
+struct StopAt(Stage, std::sync::atomic::AtomicBool);
+
+impl StopAt {
+    fn beginning_of(stage: Stage) -> Self {
+        Self(stage, std::sync::atomic::AtomicBool::new(false))
+    }
+}
+
+impl Monitor for StopAt {
+    fn begin(&self, stage: Stage, _gate: Option<usize>) {
+        if stage == self.0 {
+            self.1.store(true, std::sync::atomic::Ordering::Relaxed);
         }
     }
+
+    fn is_cancelled(&self) -> bool {
+        self.1.load(std::sync::atomic::Ordering::Relaxed)
+    }
+}
+
+#[test]
+fn a_cancelled_reconstruction_stops_at_the_next_stage() {
     let study = simulated(&beating(2));
     // The last stage has no later one to stop at.
-    for stage in Stage::ALL.into_iter().filter(|stage| *stage != Stage::Measurement) {
-        let monitor = StopAt(stage, std::sync::atomic::AtomicBool::new(false));
-        let result = reconstruct(&study, &Parameters::paper(), &monitor);
+    for stage in PAPER_STAGES.into_iter().filter(|stage| *stage != Stage::Measurement) {
+        let result = reconstruct(&study, &Parameters::paper(), &StopAt::beginning_of(stage));
+        assert_eq!(result.unwrap_err(), PipelineError::Cancelled, "{stage:?}");
+    }
+    for stage in [Stage::Localisation, Stage::Rays, Stage::ModelFit] {
+        let result = reconstruct(&study, &Parameters::clinical(), &StopAt::beginning_of(stage));
         assert_eq!(result.unwrap_err(), PipelineError::Cancelled, "{stage:?}");
     }
 }

@@ -7,7 +7,10 @@ use std::{path::Path, process::Command};
 use ventricle::{
     export::{ExportError, glb},
     mesh::Mesh,
-    pipeline::{Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop, wall::WallOrder},
+    pipeline::{
+        Evolution, Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop,
+        wall::WallOrder,
+    },
     report,
     study::{Acquisition, Format, Gate, Orientation, Study},
     volume::{Grid, Volume},
@@ -26,13 +29,15 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
     let fit = |axes: DVec3| Fit {
         mesh: sphere.map(|point| centre + axes * point),
         steps: 100,
-        frozen: 1.0,
-        within_one_voxel: 0.97,
-        mean_distance_mm: 1.5,
-        gvf_residual: [1e-5; 3],
-        gvf_iterations: [150; 3],
-        stop: Stop::AllFrozen,
-        trace: None,
+        evolution: Some(Evolution {
+            frozen: 1.0,
+            within_one_voxel: 0.97,
+            mean_distance_mm: 1.5,
+            gvf_residual: [1e-5; 3],
+            gvf_iterations: [150; 3],
+            stop: Stop::AllFrozen,
+            trace: None,
+        }),
     };
     let gates = (0..gates)
         .map(|index| {
@@ -45,7 +50,16 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
         .collect();
     let region =
         Region { centre_mm: [90.0, 80.0], axis_slope: [0.0; 2], radius_mm: 60.0, first_slice: 1, last_slice: 4, base_at_last_slice: true };
-    (study, Reconstruction { gates, region, parameters: Parameters::paper(), warnings: Vec::new() })
+    let reconstruction = Reconstruction {
+        gates,
+        region: Some(region),
+        to_base: DVec3::Z,
+        pose: None,
+        model: None,
+        parameters: Parameters::paper(),
+        warnings: Vec::new(),
+    };
+    (study, reconstruction)
 }
 
 /// An oblique short-axis frame of either handedness.

@@ -141,7 +141,7 @@ fn the_file_holds_the_wall_of_the_report_in_every_frame() {
                 assert!(displacement.distance(placed(*to) - placed(*from)) < 1e-5, "{displacement}");
             }
             assert_eq!(displacements.iter().all(|way| *way == DVec3::ZERO), gate == 0);
-            let thickness = Thickness::of(&reconstruction.gates[gate], true);
+            let thickness = Thickness::of(&reconstruction.gates[gate], reconstruction.to_base);
             let told = file.singles("thickness_mm");
             for (value, told) in thickness.mm.endocardial.iter().chain(&thickness.mm.epicardial).zip(&told) {
                 assert!((value - told).abs() < 1e-5, "{value} {told}");
@@ -155,15 +155,14 @@ fn thickness_is_that_of_the_wall_and_not_of_the_valve_plane() {
     // Half spheres of 20 and 30 mm, the base at either end of the stack. The closest point lies on the radius, where it is not in the rim of
     // the other surface: the rim's 4 mm and an edge of at most 2.3. From there the way to the wall below the rim is at most 11.1 mm.
     const BELOW_RIM_MM: f64 = 6.5;
-    for base_at_last_slice in [true, false] {
-        let base = if base_at_last_slice { 1.0 } else { -1.0 };
+    for base in [1.0, -1.0] {
         let (_, mut reconstruction) = beating(1, 4, None);
-        reconstruction.region.base_at_last_slice = base_at_last_slice;
+        reconstruction.to_base = DVec3::Z * base;
         let cut = |radius: f64| Mesh::icosphere(4).map(|p| (p * radius).with_z(base * (base * p.z * radius).min(0.0)));
         let gate = &mut reconstruction.gates[0];
         gate.fits.endocardial.mesh = cut(20.0);
         gate.fits.epicardial.mesh = cut(30.0);
-        let thickness = Thickness::of(gate, base_at_last_slice);
+        let thickness = Thickness::of(gate, DVec3::Z * base);
         let range = thickness.range().unwrap();
         assert!((range.mean_mm - 10.0).abs() < 0.05 && range.min_mm > 9.9 && range.max_mm < 11.1, "{range:?}");
         for surface in Surface::BOTH {

@@ -175,7 +175,8 @@ fn missing_orientation(attributes: &Attributes) -> Warning {
     Warning::new(
         LONG_AXIS_SLICES,
         format!(
-            "The file has no Image Orientation (Patient) (0020,0037), and its Image ID names {axis} slices; the paper preset expects short-axis slices."
+            "The file has no Image Orientation (Patient) (0020,0037): surfaces are in grid axes, not the patient's. Its Image ID names {axis} slices: \
+             the preset `clinical` measures the ventricle along its own axes, `paper` expects short-axis slices."
         ),
     )
 }

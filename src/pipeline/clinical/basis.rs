@@ -2,6 +2,8 @@
 //!
 //! Harmonic `m` fades as `s^m` towards the apex, where all directions meet in one point.
 
+use std::f64::consts::TAU;
+
 /// Splines from apex to base: their knots lie 12-15 mm apart on a normal ventricle, about the width of a camera's blur.
 pub(super) const SPLINES: usize = 8;
 /// Constant, cosine and sine of φ, cosine and sine of 2φ: round, shifted, oval.
@@ -9,61 +11,107 @@ pub(super) const HARMONICS: usize = 5;
 /// The `s` above which harmonics are whole.
 const FADES_BELOW: f64 = 0.7;
 
+/// Knots of the splines.
+const KNOTS: usize = SPLINES + 4;
+/// Intervals between different knots.
+const INTERVALS: usize = SPLINES - 3;
+
 /// Splines over `0..=s_max`, clamped at both ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Basis {
     pub(super) s_max: f64,
+    knots: [f64; KNOTS],
 }
 
-/// The splines that are not zero at a place: the first one's number and the four values.
-pub(super) type Support = (usize, [f64; 4]);
+/// An angle about the axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Angle {
+    pub(super) phi: f64,
+    pub(super) sin: f64,
+    pub(super) cos: f64,
+}
 
-impl Basis {
-    fn knot(&self, index: usize) -> f64 {
-        let intervals = SPLINES - 3;
-        self.s_max * (index.saturating_sub(3).min(intervals)) as f64 / intervals as f64
+impl Angle {
+    pub(super) fn new(phi: f64) -> Self {
+        let (sin, cos) = phi.sin_cos();
+        Self { phi, sin, cos }
     }
 
-    /// Spline values at `s` (clamped to the range), by de Boor's recurrence.
-    pub(super) fn splines(&self, s: f64) -> Support {
-        let intervals = SPLINES - 3;
+    /// So many angles all round.
+    pub(super) fn around(count: usize) -> impl Iterator<Item = Self> {
+        (0..count).map(move |i| Self::new(TAU * i as f64 / count as f64))
+    }
+}
+
+/// A place on the wall: the splines that are not zero there (the first one's number and the four values) and the harmonics.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Spot {
+    pub(super) first: usize,
+    pub(super) splines: [f64; 4],
+    pub(super) harmonics: [f64; HARMONICS],
+}
+
+impl Basis {
+    pub(super) fn new(s_max: f64) -> Self {
+        Self { s_max, knots: std::array::from_fn(|index| s_max * index.saturating_sub(3).min(INTERVALS) as f64 / INTERVALS as f64) }
+    }
+
+    /// The basis at a place; `s` is clamped to the range.
+    pub(super) fn at(&self, s: f64, angle: &Angle) -> Spot {
+        let (first, splines) = self.splines(s);
+        Spot { first, splines, harmonics: harmonics(s, angle) }
+    }
+
+    /// Spline values at `s`, by de Boor's recurrence.
+    pub(super) fn splines(&self, s: f64) -> (usize, [f64; 4]) {
         let s = s.clamp(0.0, self.s_max * (1.0 - 1e-12));
-        let interval = ((s / self.s_max * intervals as f64) as usize).min(intervals - 1);
-        let at = interval + 3;
+        let first = ((s / self.s_max * INTERVALS as f64) as usize).min(INTERVALS - 1);
         let mut values = [1.0, 0.0, 0.0, 0.0];
         for degree in 1..4 {
             let mut saved = 0.0;
             for j in 0..degree {
-                let (right, left) = (self.knot(at + j + 1) - s, s - self.knot(at + 1 + j - degree));
+                let (right, left) = (self.knots[first + 4 + j] - s, s - self.knots[first + 4 + j - degree]);
                 let part = values[j] / (right + left);
                 values[j] = saved + right * part;
                 saved = left * part;
             }
             values[degree] = saved;
         }
-        (interval, values)
+        (first, values)
     }
+}
 
-    /// The harmonics at a place.
-    pub(super) fn harmonics(s: f64, phi: f64) -> [f64; HARMONICS] {
-        let fade = (s / FADES_BELOW).clamp(0.0, 1.0);
-        let (sin, cos) = phi.sin_cos();
-        let second = fade * fade;
-        [1.0, fade * cos, fade * sin, second * (cos * cos - sin * sin), second * 2.0 * sin * cos]
-    }
+/// The harmonics at a place.
+fn harmonics(s: f64, angle: &Angle) -> [f64; HARMONICS] {
+    let fade = (s / FADES_BELOW).clamp(0.0, 1.0);
+    let Angle { sin, cos, .. } = *angle;
+    let second = fade * fade;
+    [1.0, fade * cos, fade * sin, second * (cos * cos - sin * sin), second * 2.0 * sin * cos]
+}
 
-    /// A function of `stride` coefficients a spline, of which those from `first` on belong to the first `harmonics`.
-    pub(super) fn value(&self, coefficients: &[f64], (stride, first, count): (usize, usize, usize), s: f64, phi: f64) -> f64 {
-        let (spline, values) = self.splines(s);
-        let harmonics = Self::harmonics(s, phi);
+impl Spot {
+    /// A function of `stride` coefficients a spline, of which those from `first` on belong to the first `count` harmonics.
+    pub(super) fn value(&self, coefficients: &[f64], (stride, first, count): (usize, usize, usize)) -> f64 {
         let mut sum = 0.0;
-        for (k, value) in values.iter().enumerate() {
-            let of_spline = &coefficients[(spline + k) * stride + first..][..count];
-            sum += value * of_spline.iter().zip(&harmonics).map(|(c, h)| c * h).sum::<f64>();
+        for (k, value) in self.splines.iter().enumerate() {
+            let of_spline = &coefficients[(self.first + k) * stride + first..][..count];
+            sum += value * of_spline.iter().zip(&self.harmonics).map(|(c, h)| c * h).sum::<f64>();
         }
         sum
     }
+
+    /// The basis functions that are not zero here, numbered `SPLINES × HARMONICS`.
+    pub(super) fn terms(&self) -> Vec<(usize, f64)> {
+        let of_spline = |(k, spline): (usize, &f64)| {
+            let spline = *spline;
+            self.harmonics.iter().enumerate().map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value)).collect::<Vec<_>>()
+        };
+        self.splines.iter().enumerate().flat_map(of_spline).collect()
+    }
 }
+
+/// Strides of a function with all harmonics.
+pub(super) const WHOLE: (usize, usize, usize) = (HARMONICS, 0, HARMONICS);
 
 /// Order of a harmonic's index: 0, 1, 1, 2, 2.
 pub(super) fn order(harmonic: usize) -> usize {
@@ -76,9 +124,9 @@ mod tests {
 
     #[test]
     fn splines_sum_to_one_and_reproduce_lines() {
-        let basis = Basis { s_max: 3.1 };
+        let basis = Basis::new(3.1);
         // Greville abscissae: coefficients of the identity.
-        let greville = |i: usize| (1..4).map(|k| basis.knot(i + k)).sum::<f64>() / 3.0;
+        let greville = |i: usize| (1..4).map(|k| basis.knots[i + k]).sum::<f64>() / 3.0;
         for s in [0.0, 0.3, 1.55, 2.2, 3.05, 3.1] {
             let (first, values) = basis.splines(s);
             assert!((values.iter().sum::<f64>() - 1.0).abs() < 1e-12);
@@ -89,8 +137,8 @@ mod tests {
 
     #[test]
     fn harmonics_vanish_at_the_apex() {
-        assert_eq!(Basis::harmonics(0.0, 1.0), [1.0, 0.0, 0.0, 0.0, 0.0]);
-        let [one, c, s, c2, s2] = Basis::harmonics(1.0, 0.3);
+        assert_eq!(harmonics(0.0, &Angle::new(1.0)), [1.0, 0.0, 0.0, 0.0, 0.0]);
+        let [one, c, s, c2, s2] = harmonics(1.0, &Angle::new(0.3));
         assert!((one - 1.0).abs() < 1e-15 && (c - 0.3_f64.cos()).abs() < 1e-15 && (s - 0.3_f64.sin()).abs() < 1e-15);
         assert!((c2 - 0.6_f64.cos()).abs() < 1e-15 && (s2 - 0.6_f64.sin()).abs() < 1e-15);
     }

@@ -7,7 +7,7 @@
 //! the parameters, and derivatives by the radius of a surface are surface integrals.
 
 use super::{
-    basis::{Basis, HARMONICS, SPLINES},
+    basis::{Angle, HARMONICS, SPLINES, Spot, WHOLE},
     quadrature::gauss_legendre,
     shape::{BASE, LOCAL, SLOPE_AT_MM, STRIDE, SURFACES, Shape, Space, THICKNESS_HARMONICS},
 };
@@ -108,122 +108,130 @@ struct Scene<'a> {
     activity: &'a Activity,
 }
 
-/// A node on a ring: where, its volume or area element, and what it carries.
-#[derive(Clone, Copy)]
-struct Place {
-    s: f64,
-    phi: f64,
-    harmonics: [f64; HARMONICS],
-    point_mm: DVec3,
+/// How finely a scene is integrated.
+struct Rules {
+    angles: Vec<Angle>,
+    cap: Vec<(f64, f64)>,
+    cylinder: Vec<(f64, f64)>,
+    layers: Vec<(f64, f64)>,
+    depths: Vec<(f64, f64)>,
+}
+
+impl Rules {
+    fn of(shape: &Shape, space: &Space, sigma: f64) -> Self {
+        let frame = &space.frame;
+        let spots: Vec<Spot> = (0..8).map(|k| space.basis.at(0.3 * f64::from(k), &Angle::new(0.0))).collect();
+        let widest = spots.iter().map(|spot| shape.radii(spot).epicardial).fold(20.0, f64::max);
+        let thickest = spots.iter().map(|spot| shape.thickness_mm(spot)).fold(8.0, f64::max);
+        let points = (2.0 * (0.5 * TAU * widest / (STEP_AROUND * sigma)).ceil()).max(12.0) as usize;
+        let cap_mm = FRAC_PI_2 * f64::midpoint(frame.apex_mm, frame.unit_mm) + 8.0;
+        let count = |length_mm: f64, step: f64, most: usize| ((length_mm / (step * sigma)).ceil() as usize + 1).clamp(3, most);
+        Self {
+            angles: Angle::around(points).collect(),
+            cap: gauss_legendre(count(cap_mm, STEP_ALONG, 40)),
+            cylinder: gauss_legendre(count(shape.base_mm(), STEP_ALONG, 40)),
+            layers: gauss_legendre(count(thickest, 1.4, 8)),
+            depths: gauss_legendre(count(widest, 1.6, 12)),
+        }
+    }
 }
 
 impl Scene<'_> {
     fn show(&self, camera: &mut Camera<'_>) {
         let frame = &self.space.frame;
-        let sigma = camera.narrowest_mm;
-        let widest = (0..8)
-            .map(|k| self.shape.radii(&self.space.basis, FRAC_PI_2 * (0.6 + 0.1 * f64::from(k)), 0.0).epicardial)
-            .fold(20.0, f64::max);
-        let points = even(TAU * widest / (STEP_AROUND * sigma)).max(12);
-        let cap_mm = FRAC_PI_2 * f64::midpoint(frame.apex_mm, frame.unit_mm) + 8.0;
-        let cap = ((cap_mm / (STEP_ALONG * sigma)).ceil() as usize).max(5);
-        let cylinder = ((self.shape.base_mm() / (STEP_ALONG * sigma)).ceil() as usize).max(4);
-        let thickest = (0..8).map(|k| self.shape.thickness_mm(&self.space.basis, 0.3 * f64::from(k), 0.0)).fold(8.0, f64::max);
-        let layers = gauss_legendre(((thickest / (1.4 * sigma)).ceil() as usize + 1).clamp(2, 7));
-        let depths = gauss_legendre(((widest / (1.6 * sigma)).ceil() as usize + 1).clamp(3, 9));
-        for (at, weight) in gauss_legendre(cap) {
+        let rules = Rules::of(self.shape, self.space, camera.narrowest_mm);
+        let around = TAU / rules.angles.len() as f64;
+        for &(at, weight) in &rules.cap {
             let s = at * FRAC_PI_2;
-            let ring = weight * FRAC_PI_2 * TAU / points as f64;
-            for phi in around(points) {
-                self.cap_node(camera, (s, phi), ring, &layers, &depths);
+            for angle in &rules.angles {
+                self.cap_node(camera, &rules, s, angle, weight * FRAC_PI_2 * around);
             }
             camera.end_ring(&self.space.basis.splines(s));
         }
-        for (at, weight) in gauss_legendre(cylinder) {
-            let ring = weight * TAU / points as f64;
-            for phi in around(points) {
-                self.cylinder_node(camera, (at, phi), ring, &layers, &depths);
+        for &(at, weight) in &rules.cylinder {
+            for angle in &rules.angles {
+                self.cylinder_node(camera, &rules, at, angle, weight * around);
             }
             camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())));
         }
         if camera.columns > 0 {
-            for phi in around(points) {
-                self.base_node(camera, phi, TAU / points as f64, (&layers, &depths));
+            for angle in &rules.angles {
+                self.base_node(camera, &rules, angle, around);
             }
         }
     }
 
-    fn place(&self, s: f64, phi: f64, r: f64) -> Place {
-        Place { s, phi, harmonics: Basis::harmonics(s, phi), point_mm: self.space.frame.point(s, phi, r) }
-    }
-
     /// Relative uptake.
-    fn uptake(&self, s: f64, phi: f64) -> f64 {
-        (1.0 + self.space.basis.value(&self.activity.map, (HARMONICS, 0, HARMONICS), s, phi)).max(LEAST_UPTAKE)
+    fn uptake(&self, spot: &Spot) -> f64 {
+        (1.0 + spot.value(&self.activity.map, WHOLE)).max(LEAST_UPTAKE)
     }
 
-    fn cap_node(&self, camera: &mut Camera<'_>, (s, phi): (f64, f64), ring: f64, layers: &[(f64, f64)], depths: &[(f64, f64)]) {
-        let radii = self.shape.radii(&self.space.basis, s, phi);
+    fn cap_node(&self, camera: &mut Camera<'_>, rules: &Rules, s: f64, angle: &Angle, ring: f64) {
+        let spot = self.space.basis.at(s, angle);
+        let radii = self.shape.radii(&spot);
         let area = ring * s.sin();
-        let uptake = self.uptake(s, phi);
+        let uptake = self.uptake(&spot);
         let (inner, outer) = (radii.endocardial, radii.epicardial);
-        for &(part, weight) in layers {
+        let unit = self.space.frame.point(s, angle, 1.0) - self.space.frame.centre_mm;
+        let at = |r: f64| self.space.frame.centre_mm + unit * r;
+        for &(part, weight) in &rules.layers {
             let r = inner + (outer - inner) * part;
-            self.wall(camera, &self.place(s, phi, r), uptake, area * weight * (outer - inner) * r * r);
+            self.wall(camera, at(r), &spot, uptake, area * weight * (outer - inner) * r * r);
         }
-        for &(part, weight) in depths {
+        for &(part, weight) in &rules.depths {
             let r = inner * part;
-            self.cavity(camera, self.space.frame.point(s, phi, r), area * weight * inner * r * r);
+            self.cavity(camera, at(r), area * weight * inner * r * r);
         }
-        self.border(camera, Surface::Endocardial, &self.place(s, phi, inner), uptake, area * inner * inner);
-        self.border(camera, Surface::Epicardial, &self.place(s, phi, outer), uptake, area * outer * outer);
+        self.border(camera, Surface::Endocardial, at(inner), &spot, uptake, area * inner * inner);
+        self.border(camera, Surface::Epicardial, at(outer), &spot, uptake, area * outer * outer);
     }
 
-    fn cylinder_node(&self, camera: &mut Camera<'_>, (part_up, phi): (f64, f64), ring: f64, layers: &[(f64, f64)], depths: &[(f64, f64)]) {
-        let (base_mm, slope) = (self.shape.base_mm(), self.shape.base_slope(phi));
-        let (inner, s_inner) = self.shape.in_cylinder(self.space, Surface::Endocardial, part_up, phi);
-        let (outer, s_outer) = self.shape.in_cylinder(self.space, Surface::Epicardial, part_up, phi);
-        let at = |r: f64| self.space.frame.s_of_height(part_up * (base_mm + slope * r));
-        let uptake = self.uptake(at(f64::midpoint(inner, outer)), phi);
+    fn cylinder_node(&self, camera: &mut Camera<'_>, rules: &Rules, part_up: f64, angle: &Angle, ring: f64) {
+        let (base_mm, slope) = (self.shape.base_mm(), self.shape.base_slope(angle));
+        let (inner, low, spot_inner) = self.shape.in_cylinder(self.space, Surface::Endocardial, part_up, angle);
+        let (outer, high, spot_outer) = self.shape.in_cylinder(self.space, Surface::Epicardial, part_up, angle);
+        let height = |r: f64| part_up * (base_mm + slope * r);
+        let middle = self.space.basis.at(self.space.frame.s_of_height(height(f64::midpoint(inner, outer))), angle);
+        let uptake = self.uptake(&middle);
         let column = |r: f64| ring * r * (base_mm + slope * r);
-        for &(part, weight) in layers {
+        let at = |height: f64, r: f64| self.space.frame.point_at_height(height, angle, r);
+        for &(part, weight) in &rules.layers {
             let r = inner + (outer - inner) * part;
-            self.wall(camera, &self.place(at(r), phi, r), uptake, column(r) * weight * (outer - inner));
+            self.wall(camera, at(height(r), r), &middle, uptake, column(r) * weight * (outer - inner));
         }
-        for &(part, weight) in depths {
+        for &(part, weight) in &rules.depths {
             let r = inner * part;
-            self.cavity(camera, self.space.frame.point(at(r), phi, r), column(r) * weight * inner);
+            self.cavity(camera, at(height(r), r), column(r) * weight * inner);
         }
-        self.border(camera, Surface::Endocardial, &self.place(s_inner, phi, inner), uptake, column(inner));
-        self.border(camera, Surface::Epicardial, &self.place(s_outer, phi, outer), uptake, column(outer));
+        self.border(camera, Surface::Endocardial, at(low, inner), &spot_inner, uptake, column(inner));
+        self.border(camera, Surface::Epicardial, at(high, outer), &spot_outer, uptake, column(outer));
     }
 
     /// The valve plane at an angle: what a mm more of ventricle adds.
-    fn base_node(&self, camera: &mut Camera<'_>, phi: f64, ring: f64, (layers, depths): (&[(f64, f64)], &[(f64, f64)])) {
-        let (base_mm, slope) = (self.shape.base_mm(), self.shape.base_slope(phi));
-        let (inner, _) = self.shape.in_cylinder(self.space, Surface::Endocardial, 1.0, phi);
-        let (outer, s) = self.shape.in_cylinder(self.space, Surface::Epicardial, 1.0, phi);
-        let (sin, cos) = phi.sin_cos();
-        let uptake = self.uptake(s, phi);
+    fn base_node(&self, camera: &mut Camera<'_>, rules: &Rules, angle: &Angle, ring: f64) {
+        let (base_mm, slope) = (self.shape.base_mm(), self.shape.base_slope(angle));
+        let (inner, _, _) = self.shape.in_cylinder(self.space, Surface::Endocardial, 1.0, angle);
+        let (outer, _, spot) = self.shape.in_cylinder(self.space, Surface::Epicardial, 1.0, angle);
+        let uptake = self.uptake(&spot);
         let mut disc = |r: f64, area: f64, excess: f64| {
-            let point_mm = self.space.frame.point(self.space.frame.s_of_height(base_mm + slope * r), phi, r);
-            let rise = [1.0, r * cos / SLOPE_AT_MM, r * sin / SLOPE_AT_MM].map(|by| (by * excess * area) as f32);
+            let point_mm = self.space.frame.point_at_height(base_mm + slope * r, angle, r);
+            let rise = [1.0, r * angle.cos / SLOPE_AT_MM, r * angle.sin / SLOPE_AT_MM].map(|by| (by * excess * area) as f32);
             camera.plane(point_mm, rise);
         };
-        for &(part, weight) in layers {
+        for &(part, weight) in &rules.layers {
             let r = inner + (outer - inner) * part;
             disc(r, ring * r * weight * (outer - inner), self.activity.wall * uptake - self.activity.background);
         }
-        for &(part, weight) in depths {
+        for &(part, weight) in &rules.depths {
             let r = inner * part;
             disc(r, ring * r * weight * inner, self.activity.blood - self.activity.background);
         }
     }
 
-    fn wall(&self, camera: &mut Camera<'_>, place: &Place, uptake: f64, volume: f64) {
-        let [h0, h1, h2, h3, h4] = place.harmonics.map(|h| (h * volume * self.activity.wall) as f32);
+    fn wall(&self, camera: &mut Camera<'_>, point_mm: DVec3, spot: &Spot, uptake: f64, volume: f64) {
+        let [h0, h1, h2, h3, h4] = spot.harmonics.map(|h| (h * volume * self.activity.wall) as f32);
         let excess = (self.activity.wall * uptake - self.activity.background) * volume;
-        camera.volume(place.point_mm, [h0, h1, h2, h3, h4, (uptake * volume) as f32, volume as f32, excess as f32]);
+        camera.volume(point_mm, [h0, h1, h2, h3, h4, (uptake * volume) as f32, volume as f32, excess as f32]);
     }
 
     fn cavity(&self, camera: &mut Camera<'_>, point_mm: DVec3, volume: f64) {
@@ -231,7 +239,7 @@ impl Scene<'_> {
     }
 
     /// A piece of a surface: what a mm of its radius adds, by the harmonics of mid-wall radius and thickness.
-    fn border(&self, camera: &mut Camera<'_>, surface: Surface, place: &Place, uptake: f64, area: f64) {
+    fn border(&self, camera: &mut Camera<'_>, surface: Surface, point_mm: DVec3, spot: &Spot, uptake: f64, area: f64) {
         if camera.columns == 0 {
             return;
         }
@@ -240,24 +248,15 @@ impl Scene<'_> {
             Surface::Epicardial => (self.activity.wall * uptake - self.activity.background, 0.5),
         };
         let mut carried = [0.0_f32; STRIDE];
-        for (h, value) in place.harmonics.iter().enumerate() {
+        for (h, value) in spot.harmonics.iter().enumerate() {
             let by = value * excess * area;
             carried[h] = by as f32;
             if h < THICKNESS_HARMONICS {
                 carried[HARMONICS + h] = (side * by) as f32;
             }
         }
-        camera.surface(place.point_mm, carried);
-        let _ = (place.s, place.phi);
+        camera.surface(point_mm, carried);
     }
-}
-
-fn around(points: usize) -> impl Iterator<Item = f64> {
-    (0..points).map(move |point| TAU * point as f64 / points as f64)
-}
-
-fn even(count: f64) -> usize {
-    2 * (count / 2.0).ceil() as usize
 }
 
 /// One axis of a Gaussian on the crop's voxels.

@@ -2,6 +2,7 @@
 //! activities, the uptake map and the width of the point-spread function.
 
 use super::{
+    basis::Spot,
     exposure::{ACTIVITY, Activity, COLUMNS, COLUMNS_WITHOUT_MAP, Crop, MAP, UPTAKE, Want, expose},
     linear::{Arrow, Block},
     priors::{LocalPrior, Priors},
@@ -48,8 +49,7 @@ pub(super) struct Counts {
 /// A voxel's centre in bullet coordinates, and its height over the centre.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VoxelPlace {
-    pub(super) s: f64,
-    pub(super) phi: f64,
+    pub(super) spot: Spot,
     pub(super) r: f64,
     pub(super) z: f64,
 }
@@ -252,11 +252,8 @@ fn freeze(own: &mut [f64], border: &mut [f64], side: &mut [f64], index: usize, s
 }
 
 /// Whether a voxel is compared: around the wall and below the valve plane.
-pub(super) fn compared(place: &VoxelPlace, shape: &Shape, space: &Space) -> bool {
-    if place.z > shape.base_mm() + MARGIN_ABOVE_MM || place.s > space.basis.s_max + 0.3 {
-        return false;
-    }
-    place.r < shape.mid_mm(&space.basis, place.s, place.phi) + shape.thickness_mm(&space.basis, place.s, place.phi) / 2.0 + MARGIN_MM
+pub(super) fn compared(place: &VoxelPlace, shape: &Shape) -> bool {
+    place.z < shape.base_mm() + MARGIN_ABOVE_MM && place.r < shape.radii(&place.spot).epicardial + MARGIN_MM
 }
 
 fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> Normal {
@@ -271,7 +268,7 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
     let noise = NOISE * state.activity.wall;
     let mut row = vec![0.0_f32; n + 1];
     for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
-        if !counts.known[voxel] || !compared(place, shape, space) {
+        if !counts.known[voxel] || !compared(place, shape) {
             continue;
         }
         let residual = f64::from(count) - f64::from(exposure.image[voxel]);

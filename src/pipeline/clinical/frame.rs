@@ -3,6 +3,7 @@
 //! A point is `(s, φ, r)`: `r` is the distance from the centre (cap) or from the axis (cylinder); `s` is the polar angle from the apex
 //! in the cap, 0 to π/2, and π/2 + height / `unit_mm` in the cylinder, so that both are about equally long a unit of `s`.
 
+use super::basis::Angle;
 use crate::pipeline::pose::Pose;
 use glam::DVec3;
 use std::f64::consts::FRAC_PI_2;
@@ -71,10 +72,17 @@ impl Frame {
     }
 
     /// Grid mm of bullet coordinates.
-    pub(super) fn point(&self, s: f64, phi: f64, r: f64) -> DVec3 {
-        let (sin, cos) = phi.sin_cos();
-        let (across, z) = if s < FRAC_PI_2 { (r * s.sin(), -r * s.cos()) } else { (r, (s - FRAC_PI_2) * self.unit_mm) };
-        self.grid(DVec3::new(across * cos, across * sin, z))
+    pub(super) fn point(&self, s: f64, angle: &Angle, r: f64) -> DVec3 {
+        if s >= FRAC_PI_2 {
+            return self.point_at_height((s - FRAC_PI_2) * self.unit_mm, angle, r);
+        }
+        let (sin, cos) = s.sin_cos();
+        self.grid(DVec3::new(r * sin * angle.cos, r * sin * angle.sin, -r * cos))
+    }
+
+    /// Grid mm of a point of the cylinder.
+    pub(super) fn point_at_height(&self, height_mm: f64, angle: &Angle, r: f64) -> DVec3 {
+        self.grid(DVec3::new(r * angle.cos, r * angle.sin, height_mm))
     }
 
     /// The `s` of a height over the centre.

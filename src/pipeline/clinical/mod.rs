@@ -20,7 +20,7 @@ use super::{
     pose, wall,
 };
 use crate::study::Study;
-use basis::Basis;
+use basis::{Angle, Basis};
 use exposure::{Activity, Crop};
 use fit::{Counts, Plan, State, VoxelPlace};
 use frame::Frame;
@@ -131,7 +131,7 @@ pub struct GateFit {
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
     let (pose, mut warnings) = observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
     let frame = Frame::about(&pose);
-    let basis = Basis { s_max: frame.s_of_height(frame.base_mm + ABOVE_BASE_MM) };
+    let basis = Basis::new(frame.s_of_height(frame.base_mm + ABOVE_BASE_MM));
     let space = Space { frame, basis };
     let rays = observed(monitor, Stage::Rays, None, || Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>()))?;
     let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine(study, &space, &rays, parameters, monitor))?;
@@ -170,15 +170,18 @@ fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, 
     let wall = median(&|rays| rays.wall);
     let low = median(&|rays| rays.low);
     let bases: Vec<f64> = rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)).collect();
-    let shapes: Vec<Shape> = rays.iter().zip(&bases).map(|(rays, &base_mm)| start(rays, base_mm)).collect();
+    let defect = low > 0.06;
+    let shapes: Vec<Shape> = rays.iter().zip(&bases).map(|(rays, &base_mm)| start(if defect { &rays.continued } else { &rays.mid }, base_mm)).collect();
+    let map = if defect { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; exposure::UPTAKE] };
+    let held: Option<Vec<Vec<f64>>> = defect.then(|| rays.iter().map(|rays| rays.continued.clone()).collect());
     let fwhm = parameters.refine.psf_fwhm_mm.unwrap_or(12.0);
     let state = State {
         shapes,
-        activity: Activity { wall: 1.15, blood: median(&|rays| rays.blood) / wall, background: median(&|rays| rays.background) / wall, map: vec![0.0; exposure::UPTAKE] },
+        activity: Activity { wall: 1.15, blood: median(&|rays| rays.blood) / wall, background: median(&|rays| rays.background) / wall, map: map.clone() },
         sigma_mm: fwhm / FWHM_PER_SIGMA,
     };
-    let plan = Plan { steps: 12, fits_map: low > 0.06, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA] };
-    let mut priors = Priors::new(None, vec![0.0; exposure::UPTAKE], [(12.0 / FWHM_PER_SIGMA).ln(), 0.35]);
+    let plan = Plan { steps: 12, fits_map: std::env::var("NOMAP").is_err() || defect, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA] };
+    let mut priors = Priors::new(held.as_deref(), map, [(12.0 / FWHM_PER_SIGMA).ln(), 0.35]);
     if parameters.refine.wall_conservation { priors.wall_volume = Some(0.02); }
     let solved = fit::fit(&counts, state, &priors, &plan, monitor)?;
     let m = ModelFit {
@@ -193,9 +196,9 @@ fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, 
 /// Standard deviations in a full width at half maximum: 2√(2 ln 2).
 const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
-fn start(rays: &Rays, base_mm: f64) -> Shape {
+fn start(mid: &[f64], base_mm: f64) -> Shape {
     let mut values = Vec::with_capacity(shape::LOCAL);
-    for mid in rays.mid.chunks_exact(basis::HARMONICS) {
+    for mid in mid.chunks_exact(basis::HARMONICS) {
         values.extend_from_slice(mid);
         values.extend([priors::THICKNESS_MM[0], 0.0, 0.0]);
     }
@@ -232,7 +235,7 @@ fn gather(study: &Study, space: &Space, rays: &[Rays]) -> Counts {
         .map(|centre| {
             let local = frame.local(centre);
             let (s, phi, r) = frame.bullet(local);
-            VoxelPlace { s, phi, r, z: local.z }
+            VoxelPlace { spot: space.basis.at(s, &Angle::new(phi)), r, z: local.z }
         })
         .collect();
     Counts { crop, space: *space, gates, known, places }

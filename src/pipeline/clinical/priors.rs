@@ -20,12 +20,15 @@ const THICKNESS_SHIFT: f64 = 20.0;
 /// Of the uptake map: roughness, and distance from the rays' map.
 const MAP_ROUGHNESS: f64 = 0.5;
 const MAP_SIZE: f64 = 100.0;
+/// How strongly the shape under a defect is held to its surroundings' continuation, and by how much stiffer it is there (the prototype's).
+pub(super) const HELD: f64 = 0.2;
+pub(super) const STIFFER: [f64; 2] = [10.0, 20.0];
 
 /// Everything that pulls at the parameters besides the counts.
 pub(super) struct Priors {
-    /// Constant part: matrix `[LOCAL × LOCAL]`, and the values it pulls to.
+    /// Constant part: matrix `[LOCAL × LOCAL]`, and the values it pulls to, one set for all gates or one a gate.
     matrix: Vec<f64>,
-    centre: Vec<f64>,
+    centres: Vec<Vec<f64>>,
     /// The map the uptake is held to.
     pub(super) map: Vec<f64>,
     /// Logarithm of the width: mean and standard deviation.
@@ -36,20 +39,11 @@ pub(super) struct Priors {
     pub(super) temporal_mm: Option<f64>,
 }
 
-/// Where the shape is held, beside its smoothness.
-pub(super) struct Held {
-    /// Mid-wall coefficients `[SPLINES × HARMONICS]` and how strongly.
-    pub(super) mid: Vec<f64>,
-    pub(super) strength: f64,
-    /// By how much roughness of mid-wall and thickness counts more.
-    pub(super) stiffer: [f64; 2],
-}
-
 impl Priors {
-    pub(super) fn new(held: Option<&Held>, map: Vec<f64>, width: [f64; 2]) -> Self {
+    pub(super) fn new(held: Option<&[Vec<f64>]>, map: Vec<f64>, width: [f64; 2]) -> Self {
         let mut matrix = vec![0.0; LOCAL * LOCAL];
         let mut centre = vec![0.0; LOCAL];
-        let [mid_stiffer, thickness_stiffer] = held.map_or([1.0; 2], |held| held.stiffer);
+        let [mid_stiffer, thickness_stiffer] = held.map_or([1.0; 2], |_| STIFFER);
         let rough = roughness(1.0, 0.5);
         let n = SPLINES * HARMONICS;
         let mid = |index: usize| index / HARMONICS * STRIDE + index % HARMONICS;
@@ -88,13 +82,23 @@ impl Priors {
         for slope in [BASE + 1, BASE + 2] {
             add(&[(slope, 1.0)], 1.0 / (SLOPE_MM * SLOPE_MM));
         }
+        let mut centres = vec![centre];
         if let Some(held) = held {
-            for (index, value) in held.mid.iter().enumerate() {
-                add(&[(mid(index), 1.0)], held.strength);
-                centre[mid(index)] = *value;
+            for index in 0..n {
+                add(&[(mid(index), 1.0)], HELD);
             }
+            centres = held
+                .iter()
+                .map(|of_gate| {
+                    let mut centre = centres[0].clone();
+                    for (index, value) in of_gate.iter().enumerate() {
+                        centre[mid(index)] = *value;
+                    }
+                    centre
+                })
+                .collect();
         }
-        Self { matrix, centre, map, width, wall_volume: None, temporal_mm: None }
+        Self { matrix, centres, map, width, wall_volume: None, temporal_mm: None }
     }
 
     /// What holds one gate.
@@ -111,7 +115,7 @@ impl Priors {
             let around = before.iter().zip(after).map(|(a, b)| f64::midpoint(*a, *b)).collect();
             (around, 1.0 / (mm * mm))
         });
-        LocalPrior { constant: self, wall, temporal }
+        LocalPrior { constant: self, centre: &self.centres[gate.min(self.centres.len() - 1)], wall, temporal }
     }
 
     /// What holds what all gates share.
@@ -140,6 +144,7 @@ impl Priors {
 /// What holds one gate: the constant part, the wall's volume, the gates before and after.
 pub(super) struct LocalPrior<'a> {
     constant: &'a Priors,
+    centre: &'a [f64],
     /// Gradient of the wall's volume, how much is missing to the mean, weight.
     wall: Option<(Vec<f64>, f64, f64)>,
     temporal: Option<(Vec<f64>, f64)>,
@@ -147,7 +152,7 @@ pub(super) struct LocalPrior<'a> {
 
 impl LocalPrior<'_> {
     pub(super) fn add(&self, values: &[f64], own: &mut [f64], side: &mut [f64]) {
-        let off: Vec<f64> = self.constant.centre.iter().zip(values).map(|(centre, value)| centre - value).collect();
+        let off: Vec<f64> = self.centre.iter().zip(values).map(|(centre, value)| centre - value).collect();
         for (row, (line, side)) in self.constant.matrix.chunks_exact(LOCAL).zip(side.iter_mut()).enumerate() {
             for (entry, own) in line.iter().zip(&mut own[row * LOCAL..][..LOCAL]) {
                 *own += entry;

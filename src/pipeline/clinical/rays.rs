@@ -2,7 +2,7 @@
 //! where it ends at the valves, and how much it takes up. Start, fallback and referee of the model's fit.
 
 use super::{
-    basis::{Basis, HARMONICS, SPLINES, order},
+    basis::{Angle, Basis, HARMONICS, SPLINES, WHOLE, order},
     frame::Frame,
     linear::solve_positive,
     shape::{STRIDE, Shape, Space, THICKNESS_HARMONICS},
@@ -10,7 +10,7 @@ use super::{
 use crate::volume::{Grid, Volume};
 use glam::DVec3;
 use ndarray::Array3;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 /// Rays from apex to beyond the base, and about the axis (`numerics.md`: about 28 × 32).
 pub(super) const ALONG: usize = 28;
@@ -39,10 +39,10 @@ pub(super) struct Rays {
     pub(super) gradient: Shape,
     /// Height of the valve plane; `None` where the wall's end was not seen.
     pub(super) base_mm: Option<f64>,
+    /// The mid-wall surface of the well-perfused rays, continued smoothly over the others from the pose's half-ellipsoid.
+    pub(super) continued: Vec<f64>,
     /// Largest count near mid-wall on every ray, `[ALONG × AROUND]`.
     pub(super) peak: Vec<f64>,
-    /// Radius of that largest count.
-    pub(super) peak_mm: Vec<f64>,
     /// Part of the wall with low uptake.
     pub(super) low: f64,
     /// Wall, blood and background in counts.
@@ -52,11 +52,11 @@ pub(super) struct Rays {
 }
 
 /// Places of the rays.
-pub(super) fn places(basis: &Basis) -> impl Iterator<Item = (f64, f64)> {
+pub(super) fn places(basis: &Basis) -> impl Iterator<Item = (f64, Angle)> {
     let s_max = basis.s_max;
     (0..ALONG).flat_map(move |i| {
         let s = (i as f64 + 0.5) / ALONG as f64 * s_max;
-        (0..AROUND).map(move |j| (s, TAU * j as f64 / AROUND as f64))
+        Angle::around(AROUND).map(move |angle| (s, angle))
     })
 }
 
@@ -77,8 +77,8 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
     let radius = |k: usize| FIRST_MM + STEP_MM * k as f64;
     let image = Interpolated::new(volume);
     let profiles: Vec<Vec<f64>> =
-        places(basis).map(|(s, phi)| (0..samples).map(|k| image.at(frame.point(s, phi, radius(k)))).collect()).collect();
-    let nodes: Vec<(f64, f64)> = places(basis).collect();
+        places(basis).map(|(s, angle)| (0..samples).map(|k| image.at(frame.point(s, &angle, radius(k)))).collect()).collect();
+    let nodes: Vec<(f64, Angle)> = places(basis).collect();
     let limit: Vec<usize> =
         nodes.iter().map(|&(s, _)| (((pose_radius(frame, s) + BEYOND_MM - FIRST_MM) / STEP_MM) as usize).min(samples - 1)).collect();
     let brightest: Vec<usize> = profiles.iter().zip(&limit).map(|(profile, &end)| largest(&profile[1..=end]) + 1).collect();
@@ -87,8 +87,8 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
     let reference = percentile(nodes.iter().zip(&heights).filter(|((s, _), _)| below_base(*s)).map(|(_, &height)| height), 0.9);
     let seen: Vec<bool> = nodes.iter().zip(&heights).map(|((s, _), &height)| below_base(*s) && height > SEEN * reference).collect();
     let found: Vec<Option<f64>> = seen.iter().zip(&brightest).map(|(&seen, &k)| seen.then(|| radius(k))).collect();
-    let mid = smooth(basis, &nodes, &found);
-    let mid_at = |s: f64, phi: f64| basis.value(&mid, (HARMONICS, 0, HARMONICS), s, phi).clamp(4.0, longest - SLOPE_REACH_MM);
+    let mid = smooth(basis, &nodes, &found, SMOOTHING);
+    let mid_at = |s: f64, angle: &Angle| basis.at(s, angle).value(&mid, WHOLE).clamp(4.0, longest - SLOPE_REACH_MM);
     let index = |mm: f64| (((mm - FIRST_MM) / STEP_MM).round().max(0.0) as usize).min(samples - 1);
     let near = |profile: &[f64], centre: usize, reach: usize| {
         let (low, end) = (centre.saturating_sub(reach), (centre + reach + 1).min(samples));
@@ -96,7 +96,7 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
         (profile[at], radius(at))
     };
     let peaks: Vec<(f64, f64)> =
-        nodes.iter().zip(&profiles).map(|(&(s, phi), profile)| near(profile, index(mid_at(s, phi)), 7)).collect();
+        nodes.iter().zip(&profiles).map(|((s, angle), profile)| near(profile, index(mid_at(*s, angle)), 7)).collect();
     let peak: Vec<f64> = peaks.iter().map(|peak| peak.0).collect();
     let background = percentile(profiles.iter().flatten().copied(), 0.15);
     let blood = percentile(profiles[..profiles.len() / 2].iter().flat_map(|profile| profile[..6].iter().copied()), 0.5);
@@ -112,24 +112,32 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
             low += weight(s);
         }
     }
+    let of_pose: Vec<Option<f64>> = nodes.iter().map(|(s, _)| Some(pose_radius(frame, *s))).collect();
+    let departures: Vec<Option<f64>> = nodes
+        .iter()
+        .zip(peaks.iter().zip(&of_pose))
+        .map(|((s, _), (&(value, at_mm), of_pose))| (in_wall(*s) && value > WELL * high).then(|| at_mm - of_pose.unwrap_or_default()))
+        .collect();
+    let departure = smooth(basis, &nodes, &departures, CONTINUATION);
+    let continued = smooth(basis, &nodes, &of_pose, 1e-3).iter().zip(&departure).map(|(a, b)| a + b).collect();
     let slopes = |sign: f64| -> Vec<Option<f64>> {
         nodes
             .iter()
             .zip(profiles.iter().zip(&seen))
-            .map(|(&(s, phi), (profile, &seen))| {
-                let centre = mid_at(s, phi);
-                let usable = seen && s < end - 0.15;
+            .map(|((s, angle), (profile, &seen))| {
+                let centre = mid_at(*s, angle);
+                let usable = seen && *s < end - 0.15;
                 usable.then(|| steepest(profile, index(centre), sign)).flatten().map(|k| FIRST_MM + STEP_MM * k)
             })
             .collect()
     };
-    let (inner, outer) = (smooth(basis, &nodes, &slopes(1.0)), smooth(basis, &nodes, &slopes(-1.0)));
+    let (inner, outer) = (smooth(basis, &nodes, &slopes(1.0), SMOOTHING), smooth(basis, &nodes, &slopes(-1.0), SMOOTHING));
     let gradient = between(&inner, &outer, base_mm.unwrap_or(frame.base_mm));
     Rays {
         mid,
         gradient,
         base_mm,
-        peak_mm: peaks.iter().map(|peak| peak.1).collect(),
+        continued,
         peak,
         low: low / all,
         wall: high,
@@ -165,7 +173,7 @@ fn steepest(profile: &[f64], centre: usize, sign: f64) -> Option<f64> {
 }
 
 /// Height over the centre at which the wall's counts have fallen half way to the background: the median over the angles.
-fn base_height(space: &Space, nodes: &[(f64, f64)], peak: &[f64], background: f64) -> Option<f64> {
+fn base_height(space: &Space, nodes: &[(f64, Angle)], peak: &[f64], background: f64) -> Option<f64> {
     let largest = peak.iter().copied().fold(0.0, f64::max);
     let mut heights = Vec::new();
     for j in 0..AROUND {
@@ -187,12 +195,14 @@ fn base_height(space: &Space, nodes: &[(f64, f64)], peak: &[f64], background: f6
 /// Roughness allowed against the rays' scatter, and how often outliers are weighed down (the prototype's values).
 const SMOOTHING: f64 = 2.0;
 const ROUNDS: usize = 3;
+/// Roughness where half of the wall may be missing: a departure from the half-ellipsoid has to be seen on many rays.
+const CONTINUATION: f64 = 20.0;
 
 /// A smooth function through values at the nodes where there are any: penalised least squares, robust (Cauchy weights).
-fn smooth(basis: &Basis, nodes: &[(f64, f64)], values: &[Option<f64>]) -> Vec<f64> {
+fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], smoothing: f64) -> Vec<f64> {
     const N: usize = SPLINES * HARMONICS;
     let given: Vec<(usize, f64)> = values.iter().enumerate().filter_map(|(i, value)| value.map(|value| (i, value))).collect();
-    let rows: Vec<Vec<(usize, f64)>> = given.iter().map(|&(i, _)| terms(basis, nodes[i])).collect();
+    let rows: Vec<Vec<(usize, f64)>> = given.iter().map(|&(i, _)| basis.at(nodes[i].0, &nodes[i].1).terms()).collect();
     let penalty = roughness(1.0, 1.0);
     let mut weights = vec![1.0; given.len()];
     let mut solution = vec![0.0; N];
@@ -200,7 +210,7 @@ fn smooth(basis: &Basis, nodes: &[(f64, f64)], values: &[Option<f64>]) -> Vec<f6
         let mut matrix = vec![0.0; N * N];
         let mut right = vec![0.0; N];
         for (entry, place) in matrix.iter_mut().zip(&penalty) {
-            *entry = SMOOTHING * place;
+            *entry = smoothing * place;
         }
         for i in 0..N {
             matrix[i * N + i] += 1e-6;
@@ -222,17 +232,6 @@ fn smooth(basis: &Basis, nodes: &[(f64, f64)], values: &[Option<f64>]) -> Vec<f6
         weights = errors.iter().map(|error| 1.0 / (1.0 + (error / (2.0 * spread)).powi(2))).collect();
     }
     solution
-}
-
-/// The basis functions that are not zero at a node.
-pub(super) fn terms(basis: &Basis, (s, phi): (f64, f64)) -> Vec<(usize, f64)> {
-    let (first, splines) = basis.splines(s);
-    let harmonics = Basis::harmonics(s, phi);
-    splines
-        .iter()
-        .enumerate()
-        .flat_map(|(k, spline)| harmonics.iter().enumerate().map(move |(h, value)| ((first + k) * HARMONICS + h, spline * value)))
-        .collect()
 }
 
 /// Penalty on roughness, `[N × N]` for `SPLINES × HARMONICS` coefficients: second differences of the round part, first differences and size of
@@ -280,9 +279,24 @@ pub(super) fn percentile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * part).round() as usize]
 }
 
-/// Part of the wall's rays that are well perfused, for use as weights: 1, else 0.
-pub(super) fn well_perfused(rays: &Rays) -> Vec<bool> {
-    rays.peak.iter().map(|&peak| peak > WELL * rays.wall).collect()
+/// Uptake above which the wall counts as normal, and the typical relative uptake of such a wall (the prototype's).
+const NORMAL: f64 = 0.7;
+const TYPICAL: f64 = 0.85;
+
+/// The uptake map that rays of all gates show, as coefficients of α − 1: 0 where the wall takes up normally, the ratio measured elsewhere.
+pub(super) fn uptake_map(space: &Space, rays: &[Rays], base_mm: f64) -> Vec<f64> {
+    let nodes: Vec<(f64, Angle)> = places(&space.basis).collect();
+    let end = space.frame.s_of_height(base_mm) - 0.25;
+    let values: Vec<Option<f64>> = nodes
+        .iter()
+        .enumerate()
+        .map(|(node, (s, _))| {
+            let of_gates = rays.iter().map(|rays| (rays.peak[node] - rays.background) / (rays.wall - rays.background).max(f64::MIN_POSITIVE));
+            let uptake = (of_gates.sum::<f64>() / rays.len() as f64).clamp(0.0, 1.0);
+            (*s < end).then(|| if uptake > NORMAL { 0.0 } else { uptake / TYPICAL - 1.0 })
+        })
+        .collect();
+    smooth(&space.basis, &nodes, &values, 0.3)
 }
 
 /// Cubic convolution (Keys 1981) of a volume; points outside take the nearest face's values.

@@ -1,7 +1,7 @@
 //! The wall of one gate: a mid-wall surface, a thickness about it, and a plane at the valves.
 
 use super::{
-    basis::{Basis, HARMONICS, SPLINES},
+    basis::{Angle, Basis, HARMONICS, SPLINES, Spot},
     frame::Frame,
     quadrature::gauss_legendre,
 };
@@ -44,16 +44,16 @@ pub(super) struct Space {
 pub(super) type Radii = PerSurface<f64>;
 
 impl Shape {
-    pub(super) fn mid_mm(&self, basis: &Basis, s: f64, phi: f64) -> f64 {
-        basis.value(&self.values[..SURFACES], MID, s, phi)
+    pub(super) fn mid_mm(&self, spot: &Spot) -> f64 {
+        spot.value(&self.values[..SURFACES], MID)
     }
 
-    pub(super) fn thickness_mm(&self, basis: &Basis, s: f64, phi: f64) -> f64 {
-        basis.value(&self.values[..SURFACES], THICKNESS, s, phi).max(THINNEST_MM)
+    pub(super) fn thickness_mm(&self, spot: &Spot) -> f64 {
+        spot.value(&self.values[..SURFACES], THICKNESS).max(THINNEST_MM)
     }
 
-    pub(super) fn radii(&self, basis: &Basis, s: f64, phi: f64) -> Radii {
-        let (mid, half) = (self.mid_mm(basis, s, phi), self.thickness_mm(basis, s, phi) / 2.0);
+    pub(super) fn radii(&self, spot: &Spot) -> Radii {
+        let (mid, half) = (self.mid_mm(spot), self.thickness_mm(spot) / 2.0);
         let endocardial = (mid - half).max(NARROWEST_MM);
         PerSurface { endocardial, epicardial: (mid + half).max(endocardial + THINNEST_MM) }
     }
@@ -62,24 +62,26 @@ impl Shape {
         self.values[BASE]
     }
 
-    /// Rise of the valve plane a mm away from the axis in direction `φ`.
-    pub(super) fn base_slope(&self, phi: f64) -> f64 {
-        let (sin, cos) = phi.sin_cos();
-        (self.values[BASE + 1] * cos + self.values[BASE + 2] * sin) / SLOPE_AT_MM
+    /// Rise of the valve plane a mm away from the axis.
+    pub(super) fn base_slope(&self, angle: &Angle) -> f64 {
+        (self.values[BASE + 1] * angle.cos + self.values[BASE + 2] * angle.sin) / SLOPE_AT_MM
     }
 
-    /// The radius of a surface at the part `part` of the way from the centre's height to the valve plane, and that place's `s`: the height
-    /// depends on the radius where the plane is tilted, and the radius on the height.
-    pub(super) fn in_cylinder(&self, space: &Space, surface: Surface, part: f64, phi: f64) -> (f64, f64) {
-        let slope = self.base_slope(phi);
-        let mut radius = self.radii(&space.basis, space.frame.s_of_height(part * self.base_mm()), phi);
-        let mut s = 0.0;
+    /// A surface at the part `part` of the way from the centre's height to the valve plane: its radius and height, which depend on each
+    /// other where the plane is tilted, and the place.
+    pub(super) fn in_cylinder(&self, space: &Space, surface: Surface, part: f64, angle: &Angle) -> (f64, f64, Spot) {
+        let slope = self.base_slope(angle);
+        let at = |height: f64| space.basis.at(space.frame.s_of_height(height), angle);
+        let mut height = part * self.base_mm();
+        let mut spot = at(height);
+        let mut radius = *self.radii(&spot).get(surface);
         // The wall leans by less than the plane rises: each pass gains a digit.
-        for _ in 0..3 {
-            s = space.frame.s_of_height(part * (self.base_mm() + slope * radius.get(surface)));
-            radius = self.radii(&space.basis, s, phi);
+        for _ in 0..2 {
+            height = part * (self.base_mm() + slope * radius);
+            spot = at(height);
+            radius = *self.radii(&spot).get(surface);
         }
-        (*radius.get(surface), s)
+        (radius, height, spot)
     }
 }
 
@@ -99,24 +101,24 @@ impl Volumes {
         let mut gradient = PerSurface::of(|_| vec![0.0; LOCAL]);
         let nodes = gauss_legendre(RINGS);
         let around = TAU / POINTS as f64;
-        for point in 0..POINTS {
-            let phi = around * point as f64;
+        for angle in Angle::around(POINTS) {
             for surface in Surface::BOTH {
-                let mut sum = Sum { space, surface, phi, ml: 0.0, gradient: vec![0.0; LOCAL] };
+                let mut sum = Sum { surface, angle, ml: 0.0, gradient: vec![0.0; LOCAL] };
                 for &(at, weight) in &nodes {
                     let s = at * FRAC_PI_2;
-                    let r = *shape.radii(&space.basis, s, phi).get(surface);
+                    let spot = space.basis.at(s, &angle);
+                    let r = *shape.radii(&spot).get(surface);
                     let area = weight * FRAC_PI_2 * around * s.sin() * r * r / 1000.0;
-                    sum.add(area * r / 3.0, area, s);
+                    sum.add(area * r / 3.0, area, &spot);
                 }
-                let slope = shape.base_slope(phi);
+                let slope = shape.base_slope(&angle);
                 for &(at, weight) in &nodes {
-                    let (r, s) = shape.in_cylinder(space, surface, at, phi);
+                    let (r, _, spot) = shape.in_cylinder(space, surface, at, &angle);
                     let scale = weight * around / 1000.0;
                     let volume = scale * (shape.base_mm() * r * r / 2.0 + slope * r * r * r / 3.0);
-                    sum.add(volume, scale * r * (shape.base_mm() + slope * r), s);
+                    sum.add(volume, scale * r * (shape.base_mm() + slope * r), &spot);
                 }
-                let (r, _) = shape.in_cylinder(space, surface, 1.0, phi);
+                let (r, _, _) = shape.in_cylinder(space, surface, 1.0, &angle);
                 sum.lift(around * r * r / 2000.0, around * r * r * r / 3000.0);
                 match surface {
                     Surface::Endocardial => {
@@ -148,26 +150,25 @@ fn add(to: &mut [f64], what: &[f64]) {
     }
 }
 
-struct Sum<'a> {
-    space: &'a Space,
+struct Sum {
     surface: Surface,
-    phi: f64,
+    angle: Angle,
     ml: f64,
     gradient: Vec<f64>,
 }
 
-impl Sum<'_> {
+impl Sum {
     /// A piece of volume and what a mm of the surface adds to it.
-    fn add(&mut self, volume: f64, a_mm: f64, s: f64) {
+    fn add(&mut self, volume: f64, a_mm: f64, spot: &Spot) {
         self.ml += volume;
-        for (index, weight) in radius_derivative(&self.space.basis, self.surface, s, self.phi) {
+        for (index, weight) in radius_derivative(self.surface, spot) {
             self.gradient[index] += a_mm * weight;
         }
     }
 
     /// What a mm of the valve plane adds, and a mm of radius times its slope.
     fn lift(&mut self, a_mm: f64, a_slope: f64) {
-        let (sin, cos) = self.phi.sin_cos();
+        let Angle { sin, cos, .. } = self.angle;
         self.gradient[BASE] += a_mm;
         self.gradient[BASE + 1] += a_slope * cos / SLOPE_AT_MM;
         self.gradient[BASE + 2] += a_slope * sin / SLOPE_AT_MM;
@@ -175,9 +176,8 @@ impl Sum<'_> {
 }
 
 /// How the radius of a surface depends on the coefficients that matter at a place.
-pub(super) fn radius_derivative(basis: &Basis, surface: Surface, s: f64, phi: f64) -> impl Iterator<Item = (usize, f64)> {
-    let (first, splines) = basis.splines(s);
-    let harmonics = Basis::harmonics(s, phi);
+fn radius_derivative(surface: Surface, spot: &Spot) -> impl Iterator<Item = (usize, f64)> {
+    let Spot { first, splines, harmonics } = *spot;
     let side = match surface {
         Surface::Endocardial => -0.5,
         Surface::Epicardial => 0.5,

@@ -1,12 +1,15 @@
 //! From a fitted shape to the meshes that everything after the pipeline sees.
 
-use super::shape::{Shape, Space, Volumes};
+use super::{
+    basis::Angle,
+    shape::{Shape, Space, Volumes},
+};
 use crate::{
     mesh::Mesh,
     pipeline::{PerSurface, Surface},
 };
 use glam::DVec3;
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Points along the wall its length is measured with, and angles about the axis.
 const ALONG: usize = 24;
@@ -42,56 +45,51 @@ pub(super) fn meshes(shape: &Shape, space: &Space, level: u32) -> PerSurface<Mes
 /// Where a vertex of the sphere goes.
 enum Vertex {
     /// On the wall at a part of the way from apex to rim.
-    Wall { part: f64, phi: f64 },
+    Wall { part: f64, angle: Angle },
     /// In the lid at a part of the rim's radius.
-    Lid { part: f64, phi: f64 },
+    Lid { part: f64, angle: Angle },
 }
 
 impl Vertex {
     fn at(direction: DVec3, rim: f64, near: f64) -> Self {
         let theta = (-direction.z).clamp(-1.0, 1.0).acos();
-        let phi = direction.y.atan2(direction.x);
+        let angle = Angle::new(direction.y.atan2(direction.x));
         if theta < rim + near {
-            Self::Wall { part: if theta > rim - near { 1.0 } else { theta / rim }, phi }
+            Self::Wall { part: if theta > rim - near { 1.0 } else { theta / rim }, angle }
         } else {
-            Self::Lid { part: (PI - theta) / (PI - rim), phi }
+            Self::Lid { part: (PI - theta) / (PI - rim), angle }
         }
     }
 
     fn place(&self, shape: &Shape, space: &Space, surface: Surface, scale: f64) -> DVec3 {
         let frame = &space.frame;
-        match *self {
-            Self::Wall { part, phi } => {
+        match self {
+            Self::Wall { part, angle } => {
                 // Parts of the way are parts of s, which is about even in length.
                 let end = frame.s_of_height(shape.base_mm());
                 let s = part * end;
                 if s < FRAC_PI_2 {
-                    return frame.point(s, phi, scale * shape.radii(&space.basis, s, phi).get(surface));
+                    return frame.point(s, angle, scale * shape.radii(&space.basis.at(s, angle)).get(surface));
                 }
-                let (r, s) = shape.in_cylinder(space, surface, (s - FRAC_PI_2) / (end - FRAC_PI_2), phi);
-                frame.point(s, phi, scale * r)
+                let (r, height, _) = shape.in_cylinder(space, surface, (s - FRAC_PI_2) / (end - FRAC_PI_2), angle);
+                frame.point_at_height(height, angle, scale * r)
             }
-            Self::Lid { part, phi } => {
-                let (rim, _) = shape.in_cylinder(space, surface, 1.0, phi);
-                let r = part * rim;
-                frame.point(frame.s_of_height(shape.base_mm() + shape.base_slope(phi) * r), phi, scale * r)
+            Self::Lid { part, angle } => {
+                let r = part * shape.in_cylinder(space, surface, 1.0, angle).0;
+                frame.point_at_height(shape.base_mm() + shape.base_slope(angle) * r, angle, scale * r)
             }
         }
     }
 }
 
 fn wall_length_mm(shape: &Shape, space: &Space, surface: Surface) -> f64 {
-    let end = space.frame.s_of_height(shape.base_mm());
-    let mean = |part: f64| {
-        (0..AROUND)
-            .map(|j| Vertex::Wall { part, phi: TAU * j as f64 / AROUND as f64 }.place(shape, space, surface, 1.0))
-            .collect::<Vec<DVec3>>()
+    let ring = |part: f64| -> Vec<DVec3> {
+        Angle::around(AROUND).map(|angle| Vertex::Wall { part, angle }.place(shape, space, surface, 1.0)).collect()
     };
-    let _ = end;
     let mut total = 0.0;
-    let mut before = mean(0.0);
+    let mut before = ring(0.0);
     for i in 1..=ALONG {
-        let here = mean(i as f64 / ALONG as f64);
+        let here = ring(i as f64 / ALONG as f64);
         total += here.iter().zip(&before).map(|(a, b)| a.distance(*b)).sum::<f64>();
         before = here;
     }
@@ -99,5 +97,5 @@ fn wall_length_mm(shape: &Shape, space: &Space, surface: Surface) -> f64 {
 }
 
 fn rim_mm(shape: &Shape, space: &Space, surface: Surface) -> f64 {
-    (0..AROUND).map(|j| shape.in_cylinder(space, surface, 1.0, TAU * j as f64 / AROUND as f64).0).sum::<f64>() / AROUND as f64
+    Angle::around(AROUND).map(|angle| shape.in_cylinder(space, surface, 1.0, &angle).0).sum::<f64>() / AROUND as f64
 }

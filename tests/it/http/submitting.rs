@@ -97,14 +97,14 @@ async fn parameters_come_by_part_and_query_and_are_named_when_wrong() {
             [("Content-Disposition: form-data; name=\"parameters\"", parameters), ("Content-Disposition: form-data; name=\"f\"", &study)];
         service.post(query, &[("content-type", "multipart/form-data; boundary=x")], multipart("x", &parts, "", "")).await
     };
-    assert_eq!(send("?mesh.level=2", "{\"edges\":{\"sigma\":1.5}}").await.status, 202);
+    assert_eq!(send("?mesh.level=2&preset=paper", "{\"edges\":{\"sigma\":1.5}}").await.status, 202);
     let problem = send("", "{\"edges\":{\"sigma\":99},\"colour\":1}").await;
     let problem = problem.json();
     assert_eq!(problem["status"], 422);
     let errors: Vec<_> = problem["errors"].as_array().unwrap().iter().map(|error| (&error["code"], &error["pointer"])).collect();
     assert!(errors.contains(&(&json!("invalid_parameter"), &json!("/edges/sigma"))), "{problem}");
     assert!(errors.contains(&(&json!("unknown_parameter"), &json!("/colour"))), "{problem}");
-    send("?preset=clinical", "{}").await.problem(422, "unavailable_parameter");
+    send("?retention_seconds=60", "{}").await.problem(422, "unavailable_parameter");
     send("?nothing=1", "{}").await.problem(422, "unknown_parameter");
     send("", "{").await.problem(400, "malformed_parameters");
     let body = json!({"grid": self::study_grid(), "dtype": "uint16", "counts": "", "parameters": {"mesh": {"level": 9}}});

@@ -1,0 +1,91 @@
+//! The shape that is looked for: the mid-wall of a ventricle as part of an ellipsoid of revolution, cut off at the valve plane.
+
+use glam::{DMat3, DVec3};
+
+/// Mid-wall surface of a ventricle. With `z` from the valve plane towards the tip it is widest at `widest * length_mm` and runs from there as
+/// half an ellipsoid to the tip; towards the base it follows the same ellipsoid to the valve plane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shell {
+    /// Where the long axis meets the valve plane, in grid mm.
+    pub base_mm: DVec3,
+    /// Unit vector from base to apex.
+    pub to_apex: DVec3,
+    /// Largest radius.
+    pub radius_mm: f64,
+    /// From valve plane to tip.
+    pub length_mm: f64,
+    /// Height of the widest section as part of the length.
+    pub widest: f64,
+}
+
+/// A point as the shell sees it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    /// Distance outside the surface (to first order), negative inside, in mm.
+    pub outside_mm: f64,
+    /// Height over the valve plane towards the tip in mm.
+    pub height_mm: f64,
+    /// From the axis, in grid axes, in mm.
+    pub across: DVec3,
+    /// Height over the widest section, as part of the way to the tip.
+    pub towards_tip: f64,
+}
+
+impl Shell {
+    /// The tip.
+    pub(super) fn apex_mm(&self) -> DVec3 {
+        self.base_mm + self.to_apex * self.length_mm
+    }
+
+    /// The middle of the long axis.
+    pub(super) fn middle_mm(&self) -> DVec3 {
+        self.base_mm + self.to_apex * (self.length_mm / 2.0)
+    }
+
+    /// Length over largest radius.
+    pub(super) fn elongation(&self) -> f64 {
+        self.length_mm / self.radius_mm
+    }
+
+    /// A point relative to the surface.
+    pub(super) fn place(&self, point_mm: DVec3) -> Place {
+        let from_base = point_mm - self.base_mm;
+        let height_mm = from_base.dot(self.to_apex);
+        let across = from_base - self.to_apex * height_mm;
+        let half_length = (1.0 - self.widest) * self.length_mm;
+        let over_widest = height_mm - self.widest * self.length_mm;
+        let (a2, c2) = (self.radius_mm * self.radius_mm, half_length * half_length);
+        let (r2, z2) = (across.length_squared(), over_widest * over_widest);
+        // Distance to the ellipsoid k = 1 to first order: (k - 1) over the gradient of k.
+        let k = (r2 / a2 + z2 / c2).sqrt();
+        let gradient = (r2 / (a2 * a2) + z2 / (c2 * c2)).sqrt();
+        let outside_mm = (k - 1.0) * (k + 1e-9) / (gradient + 1e-9);
+        Place { outside_mm, height_mm, across, towards_tip: (over_widest / half_length).clamp(-1.0, 1.0) }
+    }
+
+    /// Frame whose third axis runs from base to apex.
+    pub(super) fn frame(&self) -> DMat3 {
+        frame(self.to_apex)
+    }
+}
+
+/// A right-handed frame with the given third axis.
+pub(super) fn frame(third: DVec3) -> DMat3 {
+    let (first, second) = third.any_orthonormal_pair();
+    DMat3::from_cols(first, second, third)
+}
+
+/// Directions spread over the sphere: a cube's faces in `side` x `side` cells, projected. Turning the cube onto itself turns them onto
+/// themselves, so that a volume with exchanged or reversed axes is searched in the same directions.
+pub(super) fn cube_directions(side: usize) -> Vec<DVec3> {
+    let cells = (0..side * side).map(|cell| {
+        // Equal angles rather than equal lengths: the corners of the cube are no denser than its faces.
+        let along = |index: usize| ((2.0 * (index as f64 + 0.5) / side as f64 - 1.0) * std::f64::consts::FRAC_PI_4).tan();
+        (along(cell % side), along(cell / side))
+    });
+    cells
+        .flat_map(|(u, v)| {
+            [DVec3::new(1.0, u, v), DVec3::new(u, 1.0, v), DVec3::new(u, v, 1.0)].into_iter().flat_map(|d| [d.normalize(), -d.normalize()])
+        })
+        .collect()
+}
