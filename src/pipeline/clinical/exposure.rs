@@ -225,7 +225,7 @@ impl Scene<'_> {
         if camera.columns == 0 {
             return camera.excess(point_mm, ((self.activity.wall * uptake - self.activity.background) * volume) as f32);
         }
-        let mut carried = [0.0_f32; 8];
+        let mut carried = [0.0_f32; LANES];
         for (to, h) in carried.iter_mut().zip(spot.harmonics) {
             *to = (h * volume) as f32;
         }
@@ -306,7 +306,7 @@ struct Camera<'a> {
     columns: usize,
     image: Vec<f32>,
     jacobian: Vec<f32>,
-    /// Of the ring at hand, `[voxels × 8]`: surface harmonics; wall harmonics and occupancies.
+    /// Of the ring at hand, `[voxels × …]`: surface harmonics; wall harmonics and uptake.
     of_surface: Vec<f32>,
     of_wall: Vec<f32>,
     /// Of all rings, `[voxels]`: wall with uptake, wall, cavity.
@@ -338,8 +338,8 @@ impl<'a> Camera<'a> {
             columns,
             image: vec![0.0; voxels],
             jacobian: vec![0.0; derived * columns],
-            of_surface: vec![0.0; derived * 8],
-            of_wall: vec![0.0; derived * 8],
+            of_surface: vec![0.0; derived * STRIDE],
+            of_wall: vec![0.0; derived * LANES],
             lit: vec![0.0; derived],
             wall: vec![0.0; derived],
             cavity: vec![0.0; derived],
@@ -379,11 +379,11 @@ impl<'a> Camera<'a> {
         });
     }
 
-    fn volume(&mut self, point_mm: DVec3, carried: [f32; 8]) {
+    fn volume(&mut self, point_mm: DVec3, carried: [f32; LANES]) {
         self.rows(point_mm, |camera, start, weight, along| {
-            for (eight, value) in camera.of_wall[8 * start..].chunks_exact_mut(8).zip(along) {
+            for (lanes, value) in camera.of_wall[LANES * start..].chunks_exact_mut(LANES).zip(along) {
                 let weight = weight * value;
-                for (to, what) in eight.iter_mut().zip(carried) {
+                for (to, what) in lanes.iter_mut().zip(carried) {
                     *to += weight * what;
                 }
             }
@@ -449,7 +449,7 @@ impl<'a> Camera<'a> {
                         }
                     }
                     eight.fill(0.0);
-                    let eight = &mut self.of_wall[8 * voxel..][..8];
+                    let eight = &mut self.of_wall[LANES * voxel..][..LANES];
                     if mapped {
                         for (k, spline) in splines.iter().enumerate() {
                             let by = spline * activity;
@@ -485,7 +485,8 @@ impl<'a> Camera<'a> {
     }
 }
 
-/// Of the eight values a node of the wall carries, the one that its uptake is in; the harmonics of the map come before.
+/// Of the values a node of the wall carries, the one that its uptake is in; the harmonics of the map come before.
 const LIT: usize = MAP_HARMONICS;
+const LANES: usize = MAP_HARMONICS + 1;
 
-const _: () = assert!(STRIDE == 8 && LIT == 7 && SURFACES == SPLINES * STRIDE);
+const _: () = assert!(STRIDE == 8 && LANES == 12 && SURFACES == SPLINES * STRIDE);
