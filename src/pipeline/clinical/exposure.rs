@@ -11,10 +11,7 @@ use super::{
     quadrature::gauss_legendre,
     shape::{BASE, LOCAL, SLOPE_AT_MM, STRIDE, SURFACES, Shape, Space, THICKNESS_HARMONICS},
 };
-use crate::{
-    pipeline::Surface,
-    volume::Grid,
-};
+use crate::{pipeline::Surface, volume::Grid};
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -65,9 +62,8 @@ impl Crop {
     pub(super) fn centres_mm(&self) -> impl Iterator<Item = DVec3> + '_ {
         let [nz, ny, nx] = self.shape;
         (0..nz).flat_map(move |z| {
-            (0..ny).flat_map(move |y| {
-                (0..nx).map(move |x| self.grid.position_mm([z + self.first[0], y + self.first[1], x + self.first[2]]))
-            })
+            (0..ny)
+                .flat_map(move |y| (0..nx).map(move |x| self.grid.position_mm([z + self.first[0], y + self.first[1], x + self.first[2]])))
         })
     }
 }
