@@ -6,6 +6,7 @@
 pub mod distance;
 mod draw;
 pub mod family;
+mod hearts;
 pub mod line;
 pub mod parallel;
 pub mod score;

@@ -295,7 +295,7 @@ impl ShapeArgs {
                 set(&mut cylinder.inner_height_mm, self.heights.map(|heights| heights[0]));
                 set(&mut cylinder.outer_height_mm, self.heights.map(|heights| heights[1]));
             }
-            Shape::Empty if !for_cylinders && !for_ventricles => {}
+            Shape::Decoy(_) | Shape::Empty if !for_cylinders && !for_ventricles => {}
             _ if for_cylinders => anyhow::bail!("--radii and --heights describe the paper's object: use them with --preset paper"),
             _ => anyhow::bail!(
                 "--edv, --esv, --ef, --wall, --elongation and --shortening describe a beating ventricle: choose such a --preset"

@@ -2,6 +2,7 @@
 //!
 //! Everything is relative to a wall of normal uptake, 1.
 
+use super::decoy::{Decoy, Part};
 use super::pose::Warp;
 use super::shape::{Shape, Surfaces};
 use super::solid::Solid;
@@ -81,6 +82,8 @@ const RIGHT_WALL_MM: f64 = 4.0;
 pub(super) struct Scene {
     background: f64,
     ventricle: Option<LeftVentricle>,
+    /// Something else in its place, and the blood in its hollow.
+    decoy: Option<(Decoy, f64)>,
     liver: Option<(DVec3, f64)>,
     to_local: DMat3,
     centre_mm: DVec3,
@@ -144,8 +147,19 @@ impl Scene {
             let above = end_diastole.map_or((35.0, 0.0), |ed| (ed.epicardium.widest_radius_mm(), ed.epicardium.widest_w_mm()));
             (DVec3::new(0.0, above.0 + liver.gap_mm + LIVER_RADIUS_MM, above.1), liver.uptake)
         });
+        let decoy = match phantom.shape {
+            Shape::Decoy(decoy) => Some((decoy, uptake.blood_pool)),
+            _ => None,
+        };
         let to_local = phantom.pose.rotation().transpose();
-        Self { background: uptake.background, ventricle, liver, to_local, centre_mm: centre_mm(&phantom.imaging.grid, &phantom.pose) }
+        Self {
+            background: uptake.background,
+            ventricle,
+            decoy,
+            liver,
+            to_local,
+            centre_mm: centre_mm(&phantom.imaging.grid, &phantom.pose),
+        }
     }
 
     /// Activity over the background at a point in grid mm (slice 0 apical).
@@ -153,6 +167,11 @@ impl Scene {
         let local = self.to_local * (point_mm - self.centre_mm);
         if let Some(activity) = self.ventricle.as_ref().and_then(|ventricle| ventricle.activity(local)) {
             return activity - self.background;
+        }
+        if let Some((decoy, blood)) = self.decoy
+            && let Some(part) = decoy.part(local)
+        {
+            return if part == Part::Body { 1.0 } else { blood } - self.background;
         }
         match self.liver {
             Some((centre, uptake)) if local.distance_squared(centre) < LIVER_RADIUS_MM * LIVER_RADIUS_MM => uptake - self.background,
@@ -170,7 +189,8 @@ impl Scene {
     pub(super) fn bounds_mm(&self) -> Option<(DVec3, DVec3)> {
         let heart = self.ventricle.as_ref().map(LeftVentricle::bounds);
         let liver = self.liver.map(|(centre, _)| (centre - LIVER_RADIUS_MM, centre + LIVER_RADIUS_MM));
-        [heart, liver]
+        let decoy = self.decoy.map(|(decoy, _)| (-decoy.reach_mm(), decoy.reach_mm()));
+        [heart, decoy, liver]
             .into_iter()
             .flatten()
             .map(|(low, high)| {
@@ -319,6 +339,6 @@ impl RightVentricle {
 impl Shape {
     /// Whether there is a ventricle.
     pub fn is_ventricle(&self) -> bool {
-        !matches!(self, Self::Empty)
+        !matches!(self, Self::Decoy(_) | Self::Empty)
     }
 }

@@ -29,6 +29,7 @@ fn check_shape(shape: &Shape) -> Result<(), PhantomError> {
     match shape {
         Shape::Cylinder(cylinder) => check_cylinder(cylinder),
         Shape::Ventricle(ventricle) => check_ventricle(ventricle),
+        Shape::Decoy(decoy) => decoy.sizes_mm().into_iter().try_for_each(|mm| within("decoy's size (mm)", mm, 1.0..=200.0)),
         Shape::Empty => Ok(()),
     }
 }

@@ -12,6 +12,7 @@ pub mod anatomy;
 pub mod camera;
 mod check;
 pub mod cycle;
+mod decoy;
 pub mod dicom;
 mod erf;
 mod exact;
@@ -26,6 +27,7 @@ mod truth;
 
 pub use anatomy::{Defect, Liver, Site, Uptake};
 pub use camera::{Psf, Tail};
+pub use decoy::Decoy;
 pub use exact::ExactSurfaces;
 pub use pose::{Deformation, Pose};
 pub use shape::{Cylinder, Shape, Ventricle};

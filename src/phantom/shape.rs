@@ -1,6 +1,7 @@
 //! The ventricles that can be simulated: the paper's test object and beating truncated ellipsoids.
 
 use super::cycle;
+use super::decoy::Decoy;
 use super::solid::Solid;
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +16,8 @@ pub enum Shape {
     Cylinder(Cylinder),
     /// A beating ventricle.
     Ventricle(Ventricle),
+    /// Something bright that is no ventricle: a negative control.
+    Decoy(Decoy),
     /// No ventricle at all: a negative control. Surroundings (liver, background) remain.
     Empty,
 }
@@ -147,12 +150,12 @@ pub struct Surfaces {
 }
 
 impl Shape {
-    /// The surfaces at a phase of the cycle; `None` for [`Shape::Empty`].
+    /// The surfaces at a phase of the cycle; `None` without a ventricle.
     pub fn surfaces(&self, phase: f64) -> Option<Surfaces> {
         match self {
             Self::Cylinder(cylinder) => Some(cylinder.surfaces()),
             Self::Ventricle(ventricle) => Some(ventricle.surfaces(ventricle.cavity_ml(phase))),
-            Self::Empty => None,
+            Self::Decoy(_) | Self::Empty => None,
         }
     }
 }

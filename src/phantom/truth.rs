@@ -64,7 +64,7 @@ pub(super) fn of(phantom: &Phantom) -> Truth {
     let (edv_ml, esv_ml) = (volume(&largest), volume(&smallest));
     let continuous_ef_percent = match phantom.shape {
         Shape::Ventricle(ventricle) => ejection_fraction_percent(ventricle.edv_ml, ventricle.esv_ml),
-        Shape::Cylinder(_) | Shape::Empty => 0.0,
+        Shape::Cylinder(_) | Shape::Decoy(_) | Shape::Empty => 0.0,
     };
     Truth {
         edv_ml,

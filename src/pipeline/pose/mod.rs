@@ -32,7 +32,7 @@ use shape::Shell;
 use shell_fit::{Density, ShellFit};
 
 /// A pose with a confidence below this should be flagged as uncertain.
-pub const UNCERTAIN_BELOW: f64 = 0.15;
+pub const POSE_UNCERTAIN: f64 = 0.15;
 
 /// The ventricle's long axis and width, in grid mm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
