@@ -261,7 +261,9 @@ fn between(field: &Field, held: &Held, monitor: &dyn Monitor) -> Result<Pose, Pi
 /// Accepts or refuses, and tells apex from base.
 fn conclude(found: &Found, held: &Held, study: &Study) -> Result<(Pose, Vec<Warning>), PipelineError> {
     let Found { leader, flipped } = found;
-    let margin = flipped.map_or(1.0, |flipped| (leader.score - flipped.score).clamp(0.0, 1.0));
+    // No other end to compare with tells something only where there is a tip.
+    let alone = if leader.tip_is_seen() { 1.0 } else { 0.0 };
+    let margin = flipped.map_or(alone, |flipped| (leader.score - flipped.score).clamp(0.0, 1.0));
     let open_at_both_ends = flipped.is_some_and(|flipped| margin < ALIKE_OPEN && !leader.tip_is_seen() && !flipped.tip_is_seen());
     if let Some(why) = judge::objection(leader, open_at_both_ends, held.points_at_it()) {
         return Err(PipelineError::NoLeftVentricle { why });
