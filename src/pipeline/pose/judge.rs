@@ -184,7 +184,7 @@ fn limits(judged: &Judged) -> [Limit; 8] {
             at: 0.535,
             clear: 0.75,
         },
-        Limit { what: "part of its wall in the field of view", value: e.inside, at: 0.7, clear: 0.9 },
+        Limit { what: "part of its wall in the field of view", value: e.inside, at: 0.75, clear: 0.92 },
     ]
 }
 
