@@ -14,6 +14,7 @@ mod operations;
 mod paper;
 mod phantom;
 mod pipeline;
+mod pose;
 mod report;
 mod restart;
 mod served;

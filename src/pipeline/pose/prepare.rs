@@ -197,3 +197,48 @@ fn rim_mean(sum: &Array3<f32>) -> f64 {
     }
     total / rim.max(1) as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        study::{Acquisition, Format, Gate},
+        volume::Volume,
+    };
+
+    fn study(grid: Grid, counts: impl Fn(DVec3) -> f64) -> Study {
+        let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| counts(grid.position_mm([z, y, x])) as f32);
+        let gates = vec![Gate { volume: Volume { grid, counts }, duration_ms: None }];
+        Study { grid, gates, orientation: None, acquisition: Acquisition::unknown(Format::Phantom), warnings: Vec::new() }
+    }
+
+    #[test]
+    fn slow_changes_are_kept_on_any_grid() {
+        for spacing_mm in [[6.0, 3.0, 3.0], [5.74, 2.87, 2.87], [6.4, 6.4, 6.4]] {
+            let grid = Grid { shape: [20, 30, 26], spacing_mm };
+            let linear = |p: DVec3| 100.0 + p.x - 0.5 * p.y + 0.3 * p.z;
+            let field = Field::of(&study(grid, linear)).unwrap();
+            let middle = grid.position_mm([10, 15, 13]);
+            for offset in [DVec3::ZERO, DVec3::new(3.1, -2.2, 1.3), DVec3::new(-7.0, 5.0, 9.0)] {
+                let at = middle + offset;
+                assert!((field.at(at).unwrap() - linear(at)).abs() < 0.15, "{spacing_mm:?}: {:?} {}", field.at(at), linear(at));
+            }
+            assert!(field.at(DVec3::splat(-30.0)).is_none());
+            // The lattice lies in the grid as its mirror image does.
+            let far = grid.position_mm([19, 29, 25]);
+            assert!((field.origin_mm + field.last_mm() - far).length() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_mask_is_unknown_and_fading_counts_are_known() {
+        let grid = Grid { shape: [16, 40, 40], spacing_mm: [4.0, 3.0, 3.0] };
+        let from_axis = |p: DVec3| (p.truncate() - glam::DVec2::splat(58.5)).length();
+        let masked = Field::of(&study(grid, |p| if from_axis(p) < 35.0 { 100.0 - from_axis(p) } else { 0.0 })).unwrap();
+        assert!(masked.at(DVec3::new(58.5, 10.0, 30.0)).is_none());
+        assert!((masked.at(DVec3::new(58.5, 28.5, 30.0)).unwrap() - 70.0).abs() < 3.0, "no counts are lost at the rim");
+        let fading = Field::of(&study(grid, |p| (100.0 * (-0.5 * (from_axis(p) / 8.0).powi(2)).exp()).round())).unwrap();
+        assert!(fading.at(DVec3::new(58.5, 10.0, 30.0)).is_some());
+        assert!(Field::of(&study(grid, |_| 0.0)).is_none());
+    }
+}

@@ -89,3 +89,41 @@ pub(super) fn cube_directions(side: usize) -> Vec<DVec3> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3Swizzles;
+
+    #[test]
+    fn distances_to_the_surface_are_those_of_an_ellipsoid() {
+        let base_mm = DVec3::new(10.0, 20.0, 30.0);
+        let to_apex = DVec3::new(1.0, -2.0, 0.5).normalize();
+        let shell = Shell { base_mm, to_apex, radius_mm: 25.0, length_mm: 66.0, widest: 1.0 / 3.0 };
+        let side = to_apex.any_orthonormal_vector();
+        // At the tip and at the widest section, 22 mm over the valve plane, the surface is met head on.
+        for outside in [-3.0, 0.0, 2.0] {
+            let over_tip = shell.place(shell.apex_mm() + to_apex * outside);
+            assert!((over_tip.outside_mm - outside).abs() < 1e-6 && (over_tip.height_mm - 66.0 - outside).abs() < 1e-9);
+            let beside = shell.place(base_mm + to_apex * 22.0 + side * (25.0 + outside));
+            assert!((beside.outside_mm - outside).abs() < 1e-6 && beside.towards_tip.abs() < 1e-9);
+        }
+        // Half an ellipsoid of 44 mm: at 60 degrees from its widest section.
+        let (sine, cosine) = 60.0_f64.to_radians().sin_cos();
+        let on = base_mm + to_apex * (22.0 + 44.0 * sine) + side * (25.0 * cosine);
+        assert!(shell.place(on).outside_mm.abs() < 1e-6);
+    }
+
+    #[test]
+    fn directions_go_into_each_other_when_axes_are_exchanged_or_reversed() {
+        let directions = cube_directions(6);
+        assert_eq!(directions.len(), 216);
+        let has = |wanted: DVec3| directions.iter().any(|direction| direction.distance(wanted) < 1e-12);
+        for d in &directions {
+            assert!((d.length() - 1.0).abs() < 1e-12);
+            assert!(has(d.yzx()) && has(d.yxz()) && has(DVec3::new(-d.x, d.y, d.z)));
+        }
+        let nearest = |d: &DVec3| directions.iter().filter(|other| *other != d).map(|other| other.dot(*d)).fold(-1.0, f64::max);
+        assert!(directions.iter().all(|d| nearest(d).acos().to_degrees() < 20.0));
+    }
+}
