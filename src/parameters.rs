@@ -79,7 +79,7 @@ pub struct Region {
 }
 
 /// The ends of the long axis that a user can give, in mm from the centre of the first voxel: x along a row, y down the columns, z from the first
-/// slice to the last. Both must lie in the study, 25 to 140 mm apart.
+/// slice to the last. Both must lie in the study, whose edge is half a voxel beyond the outermost centres, 25 to 140 mm apart.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pose {

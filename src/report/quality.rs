@@ -48,7 +48,7 @@ pub const QUALITY_LIMITS: QualityLimits = QualityLimits {
     unexplained_residual: 0.15,
     extrapolated_percent: 40.0,
     low_uptake_percent: 6.0,
-    pose_score: pose::UNCERTAIN_BELOW,
+    pose_score: pose::POSE_UNCERTAIN,
     ef_disagreement_points: 10.0,
 };
 

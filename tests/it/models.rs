@@ -35,7 +35,7 @@ fn every_model_reaches_the_border_with_every_solver() {
     let experiment = Experiment::paper_phantom().unwrap();
     let flows = experiment.flows(&Parameters::paper()).unwrap();
     for (model, solver) in MODELS.into_iter().flat_map(|model| SOLVERS.map(|solver| (model, solver))) {
-        let sent = json!({"mesh": {"level": 2}, "deform": {"model": model, "solver": solver, "time_step_s": 0.05}});
+        let sent = json!({"preset": "paper", "mesh": {"level": 2}, "deform": {"model": model, "solver": solver, "time_step_s": 0.05}});
         let resolved = parameters::parse(&sent).and_then(parameters::resolve);
         if (model, solver) == ("restricted_spring_mass", "implicit_euler") {
             assert_eq!(resolved.unwrap_err().code(), "invalid_parameter");
@@ -56,7 +56,7 @@ fn the_service_runs_every_model_and_every_solver() {
     let served = Served::start(&data.0, &[]);
     let file = paper();
     for (model, solver) in MODELS.into_iter().zip(SOLVERS) {
-        let query = format!("mesh.level=2&deform.model={model}&deform.solver={solver}&deform.time_step_s=0.05");
+        let query = format!("preset=paper&mesh.level=2&deform.model={model}&deform.solver={solver}&deform.time_step_s=0.05");
         let report = report(&served, &file, &query);
         let used = &report["parameters"]["deform"];
         assert_eq!((used["model"].as_str(), used["solver"].as_str()), (Some(model), Some(solver)));
@@ -66,7 +66,8 @@ fn the_service_runs_every_model_and_every_solver() {
             assert!(["all_frozen", "at_rest"].contains(&fit["stop"].as_str().unwrap()), "{query} {surface}: {fit}");
         }
     }
-    let refused = served.post_with("deform.model=restricted_spring_mass&deform.solver=implicit_euler", "application/dicom", &file);
+    let refused =
+        served.post_with("preset=paper&deform.model=restricted_spring_mass&deform.solver=implicit_euler", "application/dicom", &file);
     let problem = refused.json();
     assert_eq!((refused.status, problem["code"].as_str()), (422, Some("invalid_parameter")), "{problem}");
     assert!(problem["detail"].as_str().unwrap().contains("choose `euler`, `midpoint` or `rk4`"), "{problem}");
@@ -77,7 +78,7 @@ fn distances_show_the_oscillation_that_freezing_ends() {
     let data = Directory::new("distances");
     let served = Served::start(&data.0, &[]);
     let file = paper();
-    let asked = "mesh.level=2&deform.record_distances=true&deform.smoothing=false&deform.time_step_s=0.01";
+    let asked = "preset=paper&mesh.level=2&deform.record_distances=true&deform.smoothing=false&deform.time_step_s=0.01";
     // Of all particles of both surfaces, the part whose distance changed by more than 1 mm within the last half second.
     let swinging_part = |report: &Value| -> f64 {
         let mut spreads = Vec::new();
@@ -110,14 +111,14 @@ fn distances_show_the_oscillation_that_freezing_ends() {
     }
     assert_eq!(swinging["gates"][0]["fit"]["epicardial"]["stop"], "at_rest");
     // Who does not ask gets none.
-    assert!(report(&served, &file, "mesh.level=2")["gates"][0]["fit"]["epicardial"].get("distances").is_none());
+    assert!(report(&served, &file, "preset=paper&mesh.level=2")["gates"][0]["fit"]["epicardial"].get("distances").is_none());
 }
 
 #[test]
 fn the_limit_of_steps_is_told() {
     let data = Directory::new("steps");
     let served = Served::start(&data.0, &[]);
-    let report = report(&served, &paper(), "mesh.level=2&deform.max_steps=7");
+    let report = report(&served, &paper(), "preset=paper&mesh.level=2&deform.max_steps=7");
     let fit = &report["gates"][0]["fit"]["epicardial"];
     assert_eq!((fit["stop"].as_str(), fit["steps"].as_u64()), (Some("step_limit"), Some(7)));
     assert!(report["quality"]["flags"].as_array().unwrap().contains(&"step_limit".into()), "{}", report["quality"]);

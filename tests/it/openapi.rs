@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 use std::{collections::BTreeSet, path::Path, process::Command};
+use ventricle::pipeline::monitor::Stage;
 
 fn document() -> Value {
     serde_json::from_str(&ventricle::http::openapi_json()).unwrap()
@@ -86,5 +87,27 @@ fn every_reference_leads_somewhere() {
     for target in found {
         let pointer = target.strip_prefix('#').unwrap();
         assert!(document.pointer(pointer).is_some(), "{target} is not there");
+    }
+}
+
+#[test]
+fn every_stage_and_every_flag_is_told_in_the_contract() {
+    let document = document();
+    let told = |pointer: &str| document.pointer(pointer).unwrap()["description"].as_str().unwrap().to_owned();
+    let stages = told("/components/schemas/Progress/properties/stage");
+    for stage in Stage::ALL {
+        assert!(stages.contains(&format!("`{}`", stage.name())), "{} is not told: {stages}", stage.name());
+    }
+    let source = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/report/quality.rs")).unwrap();
+    let code = source.split("#[cfg(test)]\nmod tests").next().unwrap();
+    let flags: BTreeSet<&str> = ["flag(\"", "Warning::new(\"", "Warning::at_gate(gate.gate, \""]
+        .into_iter()
+        .flat_map(|raised| code.split(raised).skip(1).map(|after| after.split('"').next().unwrap()))
+        .filter(|code| *code != "low_uptake")
+        .collect();
+    assert!(flags.len() >= 9, "{flags:?}");
+    let quality = told("/components/schemas/Quality/properties/flags");
+    for flag in flags {
+        assert!(quality.contains(&format!("`{flag}`")), "{flag} is not told: {quality}");
     }
 }

@@ -11,10 +11,7 @@ use super::{
     quadrature::gauss_legendre,
     shape::{BASE, LOCAL, SLOPE_AT_MM, STRIDE, SURFACES, Shape, Space, THICKNESS_HARMONICS},
 };
-use crate::{
-    pipeline::Surface,
-    volume::Grid,
-};
+use crate::pipeline::Surface;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -47,12 +44,12 @@ pub(super) struct Activity {
     pub(super) map: Vec<f64>,
 }
 
-/// A box of voxels.
+/// A box of voxels, or of bins of voxels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crop {
-    pub(super) grid: Grid,
-    /// First voxel and number of voxels along `[z, y, x]`.
-    pub(super) first: [usize; 3],
+    /// Centre of the first along `[z, y, x]` in grid mm.
+    pub(super) origin_mm: [f64; 3],
+    pub(super) spacing_mm: [f64; 3],
     pub(super) shape: [usize; 3],
 }
 
@@ -61,14 +58,11 @@ impl Crop {
         self.shape.iter().product()
     }
 
-    /// Voxel centres in grid mm in memory order.
+    /// Centres in grid mm in memory order.
     pub(super) fn centres_mm(&self) -> impl Iterator<Item = DVec3> + '_ {
         let [nz, ny, nx] = self.shape;
-        (0..nz).flat_map(move |z| {
-            (0..ny).flat_map(move |y| {
-                (0..nx).map(move |x| self.grid.position_mm([z + self.first[0], y + self.first[1], x + self.first[2]]))
-            })
-        })
+        let at = |axis: usize, index: usize| self.origin_mm[axis] + self.spacing_mm[axis] * index as f64;
+        (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| DVec3::new(at(2, x), at(1, y), at(0, z)))))
     }
 }
 
@@ -321,10 +315,10 @@ struct Camera<'a> {
 impl<'a> Camera<'a> {
     fn new(crop: &'a Crop, sigma_mm: f64, columns: usize) -> Self {
         let axes: [AxisBlur; 3] = std::array::from_fn(|axis| {
-            let spacing_mm = crop.grid.spacing_mm[axis];
+            let spacing_mm = crop.spacing_mm[axis];
             AxisBlur {
                 spacing_mm,
-                origin_mm: crop.first[axis] as f64 * spacing_mm,
+                origin_mm: crop.origin_mm[axis],
                 voxels: crop.shape[axis],
                 // The box of a voxel has variance h²/12; its shape beyond that is lost in the blur (kurtosis 1.03 of 3 at the paper's grid).
                 sigma_mm: (sigma_mm * sigma_mm + spacing_mm * spacing_mm / 12.0).sqrt(),

@@ -19,18 +19,26 @@ pub(super) const SHARED: usize = 4;
 /// Where the width stands among them.
 pub(super) const WIDTH: usize = 3;
 
-/// Standard deviation of counts less model for the weights, as part of the wall's activity (the prototype's).
+/// Standard deviation of counts less model for the weights, as part of the wall's activity, in a volume of the paper's voxel (the
+/// prototype's); counts of a larger bin are surer.
 pub(super) const NOISE: f64 = 0.04;
-/// Residuals beyond so many standard deviations lose weight (Cauchy).
-const ROBUST: f64 = 3.0;
+pub(super) const NOISE_MM3: f64 = 47.3;
+/// Residuals beyond this part of the wall's activity lose weight (Cauchy): three of the standard deviations above.
+const ROBUST: f64 = 0.12;
 /// Counts farther outside the epicardium, or higher above the valve plane, are not compared.
 const MARGIN_MM: f64 = 9.0;
 const MARGIN_ABOVE_MM: f64 = 12.0;
 /// Longest step of a coefficient or of the valve plane in mm, and of its slope.
 const LONGEST_MM: f64 = 4.0;
 const LONGEST_SLOPE: f64 = 2.0;
+/// Limits of the blood's activity as parts of the wall's. Perfusion tracers leave 10-20 % in the blood; filters of the reconstruction dig
+/// deeper, which a model without them must not take for a wall of ever more activity.
+const LEAST_BLOOD: f64 = 0.03;
+const MOST_BLOOD: f64 = 0.7;
 /// Relative step for the image's derivative by the width.
 const WIDTH_STEP: f64 = 0.02;
+/// Steps before the residuals' correlation is measured.
+const ROUGH_STEPS: usize = 3;
 /// Steps end when none moves a coefficient by more.
 const REST_MM: f64 = 0.05;
 
@@ -71,6 +79,8 @@ pub(super) struct Plan {
     pub(super) fits_tilt: bool,
     /// Limits of the width in mm (standard deviation).
     pub(super) sigma_limits_mm: [f64; 2],
+    /// How many voxels count as one: 1 where residuals are as independent as Poisson counts.
+    pub(super) correlated: f64,
 }
 
 /// The system at the last step, for the uncertainty.
@@ -84,17 +94,24 @@ pub(super) struct Solved {
 /// Fits.
 pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, monitor: &dyn Monitor) -> Result<Solved, PipelineError> {
     let mut state = start;
+    let mut plan = plan.clone();
     let mut steps = 0;
     let mut converged = false;
     while steps < plan.steps && !converged {
         monitor::check(monitor)?;
-        let system = assemble(counts, &state, priors, plan, monitor)?;
+        let system = assemble(counts, &state, priors, &plan, monitor)?;
         steps += 1;
-        let Some((gates, shared)) = system.step() else { break };
-        converged = advance(&mut state, &gates, &shared, plan) < REST_MM;
+        let Some((gates, shared)) = system.step(if steps <= ROUGH_STEPS { 0.01 } else { 1e-4 }) else { break };
+        let longest = advance(&mut state, &gates, &shared, &plan);
+        if std::env::var("TRACE").is_ok() { let o: f64 = system.misfit.iter().map(|m| m.weighted).sum(); eprintln!("step {steps} longest {longest:.3} sigma {:.3} A {:.3} bl {:.3} bg {:.3} obj {o:.1} shared {:?}", state.sigma_mm, state.activity.wall, state.activity.blood, state.activity.background, shared[..4].iter().map(|x| (x*1e3).round()/1e3).collect::<Vec<_>>()); }
+        converged = longest < REST_MM && steps > ROUGH_STEPS;
+        if steps == ROUGH_STEPS {
+            plan.correlated = correlated(counts, &state);
+            if std::env::var("TRACE").is_ok() { eprintln!("correlated {}", plan.correlated); }
+        }
         monitor.advance(steps, plan.steps + 1);
     }
-    let system = assemble(counts, &state, priors, plan, monitor)?;
+    let system = assemble(counts, &state, priors, &plan, monitor)?;
     Ok(Solved { state, steps, converged, system })
 }
 
@@ -113,7 +130,7 @@ fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) -
     }
     let activity = &mut state.activity;
     activity.wall = (activity.wall + shared[0].clamp(-0.15 * activity.wall, 0.15 * activity.wall)).max(0.05);
-    activity.blood = (activity.blood + shared[1]).clamp(0.0, 0.7 * activity.wall);
+    activity.blood = (activity.blood + shared[1]).clamp(LEAST_BLOOD * activity.wall, MOST_BLOOD * activity.wall);
     activity.background = (activity.background + shared[2]).clamp(0.0, 0.7 * activity.wall);
     if plan.fits_width {
         let [low, high] = plan.sigma_limits_mm;
@@ -150,8 +167,23 @@ pub(super) struct Misfit {
 }
 
 impl System {
-    fn step(&self) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
-        let (blocks, corner) = self.damped();
+    /// Takes a shared parameter out of the system.
+    fn hold(&mut self, index: usize) {
+        for i in 0..self.shared {
+            self.corner[index * self.shared + i] = 0.0;
+            self.corner[i * self.shared + index] = 0.0;
+        }
+        self.corner[index * self.shared + index] = 1.0;
+        self.shared_side[index] = 0.0;
+        for block in &mut self.blocks {
+            for i in 0..LOCAL {
+                block.border[i * self.shared + index] = 0.0;
+            }
+        }
+    }
+
+    fn step(&self, damping: f64) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
+        let (blocks, corner) = self.damped(damping);
         let arrow = Arrow::factorise(LOCAL, blocks, corner, self.shared)?;
         let (mut gates, mut shared) = (self.gate_sides.clone(), self.shared_side.clone());
         arrow.solve(&mut gates, &mut shared);
@@ -159,10 +191,10 @@ impl System {
     }
 
     /// A little more on the diagonal: what nothing determines stays where it is.
-    fn damped(&self) -> (Vec<Block>, Vec<f64>) {
+    fn damped(&self, damping: f64) -> (Vec<Block>, Vec<f64>) {
         let damp = |matrix: &mut [f64], n: usize| {
             for i in 0..n {
-                matrix[i * n + i] = 1.01 * matrix[i * n + i] + 1e-6;
+                matrix[i * n + i] = (1.0 + damping) * matrix[i * n + i] + 1e-6;
             }
         };
         let mut blocks = self.blocks.clone();
@@ -229,15 +261,21 @@ fn assemble(counts: &Counts, state: &State, priors: &Priors, plan: &Plan, monito
         gate_sides.push(side);
     }
     priors.add_shared(state, plan, shared, &mut corner, &mut shared_side);
+    let mut system = System { shared, blocks, corner, gate_sides, shared_side, misfit };
     if !plan.fits_width {
-        for i in 0..shared {
-            corner[WIDTH * shared + i] = 0.0;
-            corner[i * shared + WIDTH] = 0.0;
-        }
-        corner[WIDTH * shared + WIDTH] = 1.0;
-        shared_side[WIDTH] = 0.0;
+        system.hold(WIDTH);
     }
-    Ok(System { shared, blocks, corner, gate_sides, shared_side, misfit })
+    // At a limit and pulled beyond it: the others move as if it were known.
+    let [low, high] = plan.sigma_limits_mm;
+    let log = state.sigma_mm.ln();
+    let blood = [LEAST_BLOOD * state.activity.wall, MOST_BLOOD * state.activity.wall];
+    for (index, value, [low, high]) in [(1, state.activity.blood, blood), (WIDTH, log, [low.ln(), high.ln()])] {
+        let pull = system.shared_side[index];
+        if (value <= low + 1e-9 && pull < 0.0) || (value >= high - 1e-9 && pull > 0.0) {
+            system.hold(index);
+        }
+    }
+    Ok(system)
 }
 
 /// Takes a parameter of a gate out of the system.
@@ -249,6 +287,48 @@ fn freeze(own: &mut [f64], border: &mut [f64], side: &mut [f64], index: usize, s
     own[index * LOCAL + index] = 1.0;
     border[index * shared..][..shared].fill(0.0);
     side[index] = 0.0;
+}
+
+/// Correlation of neighbouring residuals beyond which they are taken for this.
+const MOST_CORRELATION: f64 = 0.8;
+
+/// How many voxels say as much as one independent one: residuals of a smoothed reconstruction, and those of a wrong model, come in patches.
+/// From the correlation ρ of neighbours along each axis, (1 + ρ) / (1 − ρ) an axis, as for a first-order autoregression.
+pub(super) fn correlated(counts: &Counts, state: &State) -> f64 {
+    let sums: Vec<[[f64; 2]; 3]> = (0..state.shapes.len())
+        .into_par_iter()
+        .map(|gate| {
+            let shape = &state.shapes[gate];
+            let image = expose(&counts.crop, &counts.space, shape, &state.activity, state.sigma_mm, Want::Image).image;
+            let residual: Vec<Option<f64>> = counts
+                .places
+                .iter()
+                .enumerate()
+                .map(|(voxel, place)| {
+                    let usable = counts.known[voxel] && compared(place, shape);
+                    usable.then(|| f64::from(counts.gates[gate][voxel] - image[voxel]).clamp(-2.0 * ROBUST, 2.0 * ROBUST))
+                })
+                .collect();
+            let [_, ny, nx] = counts.crop.shape;
+            [ny * nx, nx, 1].map(|stride| {
+                let (mut shared, mut own) = (0.0, 0.0);
+                for (a, b) in residual.iter().zip(&residual[stride.min(residual.len())..]) {
+                    if let (Some(a), Some(b)) = (a, b) {
+                        shared += a * b;
+                        own += 0.5 * (a * a + b * b);
+                    }
+                }
+                [shared, own]
+            })
+        })
+        .collect();
+    (0..3)
+        .map(|axis| {
+            let total = |which: usize| sums.iter().map(|gate| gate[axis][which]).sum::<f64>();
+            let rho = (total(0) / total(1).max(f64::MIN_POSITIVE)).clamp(0.0, MOST_CORRELATION);
+            (1.0 + rho) / (1.0 - rho)
+        })
+        .product()
 }
 
 /// Whether a voxel is compared: around the wall and below the valve plane.
@@ -265,14 +345,15 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
     let n = LOCAL + SHARED + columns - MAP;
     let mut gram = Gram::new(n + 1);
     let mut misfit = Misfit::default();
-    let noise = NOISE * state.activity.wall;
+    let noise = NOISE * (plan.correlated * NOISE_MM3 / crop.spacing_mm.iter().product::<f64>()).sqrt();
+    let robust = ROBUST;
     let mut row = vec![0.0_f32; n + 1];
     for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
         if !counts.known[voxel] || !compared(place, shape) {
             continue;
         }
         let residual = f64::from(count) - f64::from(exposure.image[voxel]);
-        let weight = 1.0 / ((1.0 + (residual / (ROBUST * noise)).powi(2)) * noise * noise);
+        let weight = 1.0 / ((1.0 + (residual / robust).powi(2)) * noise * noise);
         misfit.squares += residual * residual;
         misfit.weighted += weight * residual * residual;
         misfit.image += f64::from(exposure.image[voxel]);

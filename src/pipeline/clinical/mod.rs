@@ -164,8 +164,17 @@ const ABOVE_BASE_MM: f64 = 14.0;
 /// How far around the pose counts are looked at: half a wall, the blur, what the margin of the fit asks for.
 const AROUND_MM: f64 = 30.0;
 
+/// Voxels are binned up to this many standard deviations of the point-spread function: half a period of the highest frequency that 3 % of
+/// are left of.
+const BIN: f64 = 1.75;
+/// And no wider than this in mm: about two thirds of a wall.
+const WIDEST_BIN_MM: f64 = 6.5;
+
 fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, monitor: &dyn Monitor) -> Result<(Vec<Shape>, ModelFit), PipelineError> {
-    let counts = gather(study, space, rays);
+    let thick = rays::percentile(rays.iter().flat_map(|rays| (1..7).map(|k| rays.gradient.thickness_mm(&space.basis.at(0.25 * f64::from(k), &Angle::new(0.0))))), 0.5);
+    let fwhm = parameters.refine.psf_fwhm_mm.unwrap_or(FWHM_PER_SIGMA * 0.5 * (thick * thick - 60.0).max(36.0).sqrt());
+    if std::env::var("TRACE").is_ok() { eprintln!("start fwhm {fwhm} gradient distance {thick}"); }
+    let counts = gather(study, space, rays, fwhm / FWHM_PER_SIGMA);
     let median = |of: &dyn Fn(&Rays) -> f64| rays::percentile(rays.iter().map(of), 0.5);
     let wall = median(&|rays| rays.wall);
     let low = median(&|rays| rays.low);
@@ -174,15 +183,14 @@ fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, 
     let shapes: Vec<Shape> = rays.iter().zip(&bases).map(|(rays, &base_mm)| start(if defect { &rays.continued } else { &rays.mid }, base_mm)).collect();
     let map = if defect { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; exposure::UPTAKE] };
     let held: Option<Vec<Vec<f64>>> = defect.then(|| rays.iter().map(|rays| rays.continued.clone()).collect());
-    let fwhm = parameters.refine.psf_fwhm_mm.unwrap_or(12.0);
     let state = State {
         shapes,
         activity: Activity { wall: 1.15, blood: median(&|rays| rays.blood) / wall, background: median(&|rays| rays.background) / wall, map: map.clone() },
         sigma_mm: fwhm / FWHM_PER_SIGMA,
     };
-    let plan = Plan { steps: 12, fits_map: std::env::var("NOMAP").is_err() || defect, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA] };
-    let mut priors = Priors::new(held.as_deref(), map, [(12.0 / FWHM_PER_SIGMA).ln(), 0.35]);
-    if parameters.refine.wall_conservation { priors.wall_volume = Some(0.02); }
+    let plan = Plan { steps: std::env::var("STEPS").ok().and_then(|s| s.parse().ok()).unwrap_or(12), fits_map: std::env::var("NOMAP").is_err() || defect, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA], correlated: 1.0 };
+    let mut priors = Priors::new(held.as_deref(), map, [(fwhm / FWHM_PER_SIGMA).ln(), 0.5]);
+    if parameters.refine.wall_conservation { priors.wall_volume = Some(std::env::var("WALL").ok().and_then(|s| s.parse().ok()).unwrap_or(0.02)); }
     let solved = fit::fit(&counts, state, &priors, &plan, monitor)?;
     let m = ModelFit {
         refined: true,
@@ -207,7 +215,7 @@ fn start(mid: &[f64], base_mm: f64) -> Shape {
 }
 
 /// The counts around the ventricle, each gate scaled to the mean total, as parts of the wall's counts.
-fn gather(study: &Study, space: &Space, rays: &[Rays]) -> Counts {
+fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64) -> Counts {
     let grid = study.grid;
     let frame = &space.frame;
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -219,17 +227,37 @@ fn gather(study: &Study, space: &Space, rays: &[Rays]) -> Counts {
     let (from, to) = (grid.fractional_index(low), grid.fractional_index(high));
     let first: [usize; 3] = std::array::from_fn(|axis| (from[axis].floor().max(0.0) as usize).min(grid.shape[axis] - 1));
     let end: [usize; 3] = std::array::from_fn(|axis| (to[axis].ceil().max(0.0) as usize + 1).min(grid.shape[axis]).max(first[axis] + 1));
-    let crop = Crop { grid, first, shape: std::array::from_fn(|axis| end[axis] - first[axis]) };
+    let bin: [usize; 3] = std::array::from_fn(|axis| (((BIN * sigma_mm).min(WIDEST_BIN_MM) / grid.spacing_mm[axis]) as usize).clamp(1, end[axis] - first[axis]));
+    let crop = Crop {
+        origin_mm: std::array::from_fn(|axis| (first[axis] as f64 + (bin[axis] - 1) as f64 / 2.0) * grid.spacing_mm[axis]),
+        spacing_mm: std::array::from_fn(|axis| bin[axis] as f64 * grid.spacing_mm[axis]),
+        shape: std::array::from_fn(|axis| (end[axis] - first[axis]) / bin[axis]),
+    };
     let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
     let mean = totals.iter().sum::<f64>() / totals.len() as f64;
     let wall = rays::percentile(rays.iter().map(|rays| rays.wall), 0.5);
-    let cut = |volume: &crate::volume::Volume, scale: f64| -> Vec<f32> {
-        let [z, y, x] = crop.first;
-        let [nz, ny, nx] = crop.shape;
-        volume.counts.slice(ndarray::s![z..z + nz, y..y + ny, x..x + nx]).iter().map(|&count| (f64::from(count) * scale) as f32).collect()
+    let members = |voxel: usize| {
+        let [_, ny, nx] = crop.shape;
+        let at = [voxel / (ny * nx), voxel / nx % ny, voxel % nx];
+        let start: [usize; 3] = std::array::from_fn(|axis| first[axis] + at[axis] * bin[axis]);
+        (0..bin[0]).flat_map(move |z| {
+            (0..bin[1]).flat_map(move |y| (0..bin[2]).map(move |x| [start[0] + z, start[1] + y, start[2] + x]))
+        })
     };
-    let gates: Vec<Vec<f32>> = study.gates.iter().zip(&totals).map(|(gate, total)| cut(&gate.volume, mean / total.max(1e-9) / wall)).collect();
-    let known = (0..crop.voxels()).map(|voxel| gates.iter().any(|gate| gate[voxel] != 0.0)).collect();
+    let size = bin.iter().product::<usize>() as f64;
+    let gates: Vec<Vec<f32>> = study
+        .gates
+        .iter()
+        .zip(&totals)
+        .map(|(gate, total)| {
+            let scale = mean / total.max(f64::MIN_POSITIVE) / wall / size;
+            (0..crop.voxels())
+                .map(|voxel| (members(voxel).map(|member| f64::from(gate.volume.counts[member])).sum::<f64>() * scale) as f32)
+                .collect()
+        })
+        .collect();
+    let known =
+        (0..crop.voxels()).map(|voxel| members(voxel).all(|member| study.gates.iter().any(|gate| gate.volume.counts[member] > 0.0))).collect();
     let places = crop
         .centres_mm()
         .map(|centre| {

@@ -67,7 +67,7 @@ impl Priors {
                     add(&[(at(i), 1.0), (at(i + 1), -2.0), (at(i + 2), 1.0)], THICKNESS_BEND * thickness_stiffer);
                 }
                 for i in 0..SPLINES {
-                    add(&[(at(i), 1.0)], 1.0 / (THICKNESS_MM[1] * THICKNESS_MM[1]));
+                    { let sd = std::env::var("TSD").ok().and_then(|s| s.parse().ok()).unwrap_or(THICKNESS_MM[1]); add(&[(at(i), 1.0)], 1.0 / (sd * sd)); }
                     centre[at(i)] = THICKNESS_MM[0];
                 }
             } else {

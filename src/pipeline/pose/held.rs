@@ -11,6 +11,7 @@ use glam::{DVec2, DVec3};
 const ACROSS_DEGREES: f64 = 30.0;
 
 /// The marks in grid mm.
+#[expect(clippy::struct_field_names, reason = "units are in names")]
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Held {
     pub apex_mm: Option<DVec3>,

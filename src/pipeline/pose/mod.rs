@@ -132,6 +132,11 @@ pub fn check_marks(grid: &Grid, marks: &PoseMarks) -> Result<(), PipelineError> 
 const MOST_FINE: usize = 3;
 /// Below this flip margin the counts do not tell apex from base.
 const ALIKE: f64 = 0.05;
+/// The same where no wall is seen at the tip (large apical defects): there margins of up to .54 were wrong.
+const ALIKE_WITHOUT_TIP: f64 = 0.6;
+/// Below this margin, with no wall at either tip, a ring is taken to be open at both ends: tubes and rings have at most .03, ventricles
+/// with 32 % of the wall lost at the apex .02-.11.
+const ALIKE_OPEN: f64 = 0.08;
 
 /// Finds the ventricle in the sum of a study's gates; marks that are given win.
 ///
@@ -153,7 +158,7 @@ pub fn find(study: &Study, marks: &PoseMarks, region: &RegionMarks, monitor: &dy
         // The circle lies about the ventricle that was found.
         let centre = found.leader.fit.shell.middle_mm().truncate();
         field.restrict(|point| held.allows(point, Some(centre)));
-        if let Some(again) = refined(&field, found.leader.fit, &held, (Density::Full, 2), monitor)? {
+        if let Some(again) = refined(&field, found.leader.fit, &held, (Density::Half, 2), monitor)? {
             found.leader = again;
         }
     }
@@ -196,7 +201,7 @@ fn search(field: &Field, held: &Held, monitor: &dyn Monitor) -> Result<Found, Pi
     }
     let mut fine = Vec::new();
     for judged in leaders.iter().chain(&flips) {
-        fine.extend(refined(field, judged.fit, held, (Density::Full, 2), monitor)?);
+        fine.extend(refined(field, judged.fit, held, (Density::Half, 2), monitor)?);
     }
     fine.sort_by(|a, b| b.score.total_cmp(&a.score));
     let leader = *fine.first().ok_or_else(|| fail("no wall of a ventricle's shape could be fitted to the counts"))?;
@@ -248,7 +253,7 @@ fn between(field: &Field, held: &Held, monitor: &dyn Monitor) -> Result<Pose, Pi
     let guess = Shell { base_mm: DVec3::ZERO, to_apex: DVec3::Z, radius_mm: 27.0, length_mm: 65.0, widest: templates::WIDEST };
     let placed = held.placed(guess);
     let start = Shell { radius_mm: (placed.length_mm / 2.4).clamp(16.0, 45.0), ..placed };
-    let judged = refined(field, ShellFit::starting(start), held, (Density::Full, 3), monitor)?
+    let judged = refined(field, ShellFit::starting(start), held, (Density::Half, 3), monitor)?
         .ok_or_else(|| PipelineError::NoLeftVentricle { why: "there are no counts between the given apex and base".into() })?;
     Ok(pose(&judged, held, 1.0, true))
 }
@@ -256,23 +261,29 @@ fn between(field: &Field, held: &Held, monitor: &dyn Monitor) -> Result<Pose, Pi
 /// Accepts or refuses, and tells apex from base.
 fn conclude(found: &Found, held: &Held, study: &Study) -> Result<(Pose, Vec<Warning>), PipelineError> {
     let Found { leader, flipped } = found;
-    if let Some(why) = judge::objection(leader, held.points_at_it()) {
+    let margin = flipped.map_or(1.0, |flipped| (leader.score - flipped.score).clamp(0.0, 1.0));
+    let open_at_both_ends = flipped.is_some_and(|flipped| margin < ALIKE_OPEN && !leader.tip_is_seen() && !flipped.tip_is_seen());
+    if let Some(why) = judge::objection(leader, open_at_both_ends, held.points_at_it()) {
         return Err(PipelineError::NoLeftVentricle { why });
     }
-    let margin = flipped.map_or(1.0, |flipped| (leader.score - flipped.score).clamp(0.0, 1.0));
     if held.tells_ends() {
         return Ok((pose(leader, held, 1.0, true), Vec::new()));
     }
-    let Some(flipped) = flipped.as_ref().filter(|_| margin < ALIKE) else {
+    // An apex without wall still has a little uptake; behind the valve plane it is darker.
+    let darker = flipped.as_ref().filter(|flipped| {
+        margin < ALIKE_WITHOUT_TIP && !leader.tip_is_seen() && !flipped.tip_is_seen() && flipped.evidence.behind < leader.evidence.behind
+    });
+    let (leader, other) = darker.map_or((leader, flipped.as_ref()), |flipped| (flipped, Some(leader)));
+    // Without a tip the margin says little: half a ventricle's wall looks much the same from both ends.
+    if margin >= if leader.tip_is_seen() { ALIKE } else { ALIKE_WITHOUT_TIP } {
         return Ok((pose(leader, held, margin, false), Vec::new()));
-    };
+    }
     let towards = |judged: &Judged| study.orientation.map_or(0.0, |o| o.direction(judged.fit.shell.to_apex).dot(LEFT_FRONT_FEET));
     // Within about 10 degrees of a right angle the orientation tells nothing either.
-    if towards(leader).abs() < 0.2 {
+    let Some(chosen) = [Some(leader), other].into_iter().flatten().find(|judged| towards(judged) > 0.2) else {
         let warning = "The counts hardly tell the apex from the base, and nothing else in the file does: the ends may be exchanged.";
         return Ok((pose(leader, held, margin, false), vec![Warning::new("apex_and_base_alike", warning)]));
-    }
-    let chosen = if towards(leader) > 0.0 { leader } else { flipped };
+    };
     let warning =
         "The counts hardly tell the apex from the base; the end towards the patient's left, front and feet is taken to be the apex.";
     Ok((pose(chosen, held, margin, true), vec![Warning::new("ends_by_orientation", warning)]))

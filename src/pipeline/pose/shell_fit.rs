@@ -36,8 +36,8 @@ pub(super) const BEHIND_MM: f64 = 16.0;
 const WIDEST: (f64, f64) = (0.12, 0.5);
 /// Elongation under which a shell is a cup rather than a ventricle: mid-wall length over radius is 2.1-3.1.
 pub(super) const LEAST_ELONGATION: f64 = 2.0;
-/// Points a fit needs at least: a hundred for nine plus twelve parameters, and half as many again.
-const LEAST_POINTS: usize = 150;
+/// Points a fit needs at least: four for each of nine plus twelve parameters.
+const LEAST_POINTS: usize = 80;
 /// Counts over this many times the wall's are another organ's: they are cut to it.
 const BRIGHTEST: f64 = 1.5;
 /// Gauss-Newton steps a round.
@@ -48,8 +48,8 @@ const MOST_STEPS: usize = 8;
 pub(super) enum Density {
     /// Every fourth (a body-centred lattice, 7 mm apart).
     Quarter,
-    /// All.
-    Full,
+    /// Every second (a face-centred lattice, 5.7 mm apart): what the blur leaves needs no more.
+    Half,
 }
 
 /// A fitted shell.
@@ -131,7 +131,7 @@ pub(super) fn fit_from(
 
 /// Parts of the variance around a shell that it explains: of all points, and without the tenth that is explained worst.
 pub(super) fn explained(field: &Field, fit: &ShellFit, held: &Held) -> Option<[f64; 2]> {
-    let round = Round::new(field, fit, held, Density::Full)?;
+    let round = Round::new(field, fit, held, Density::Half)?;
     let solved = round.solve(&round.from)?;
     let mut points: Vec<(f64, &Sample)> =
         round.samples.iter().map(|sample| ((sample.value - round.predict(&round.from, &solved, sample.at_mm)).powi(2), sample)).collect();
@@ -149,7 +149,7 @@ pub(super) fn explained(field: &Field, fit: &ShellFit, held: &Held) -> Option<[f
 /// The counts that the wall has: their 85th percentile near the mid-wall; `None` where nothing is known.
 pub(super) fn wall_level(field: &Field, shell: &Shell) -> Option<f64> {
     let mut near = Vec::new();
-    each_near(field, shell, Density::Full, |_, place, value| {
+    each_near(field, shell, Density::Half, |_, place, value| {
         if place.outside_mm.abs() < 6.0 && place.height_mm > 4.0 {
             near.push(value);
         }
@@ -177,9 +177,14 @@ pub(super) fn each_near(field: &Field, shell: &Shell, density: Density, mut visi
     for z in range(2) {
         for y in range(1) {
             for x in range(0) {
-                // The nodes whose three indices are all even or all odd, counted from the middle.
+                // Counted from the middle, as the lattice: all even or all odd; an even sum.
                 let parity = |index: i32, axis: usize| (index - field.nodes[axis] as i32 / 2) & 1;
-                if density == Density::Quarter && (parity(x, 0) != parity(y, 1) || parity(y, 1) != parity(z, 2)) {
+                let [i, j, k] = [parity(x, 0), parity(y, 1), parity(z, 2)];
+                let skipped = match density {
+                    Density::Quarter => i != j || j != k,
+                    Density::Half => (i + j + k) & 1 == 1,
+                };
+                if skipped {
                     continue;
                 }
                 let value = field.node([x, y, z]);
@@ -211,7 +216,7 @@ impl<'a> Round<'a> {
                 samples.push(Sample { at_mm, value: (value / level).min(BRIGHTEST), weight });
             }
         });
-        let enough = if density == Density::Full { LEAST_POINTS } else { LEAST_POINTS / 2 };
+        let enough = if density == Density::Half { LEAST_POINTS } else { LEAST_POINTS / 2 };
         if samples.len() < enough {
             return None;
         }

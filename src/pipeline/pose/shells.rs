@@ -19,6 +19,8 @@ const MOST_CENTRES: f64 = 60_000.0;
 const OUTSIDE_MM: f64 = 14.0;
 /// Correlation below which a place is no candidate; ventricles reach .5-.9, those cut by the field of view .35.
 const LEAST_CORRELATION: f64 = 0.2;
+/// Counts that differ by this part of their mean are flat: smoothed noise is 2-5 % of the background, a wall ten times it.
+const NOISE: f64 = 0.15;
 /// Candidates that go on to the next stage.
 const MOST_CANDIDATES: usize = 14;
 
@@ -57,9 +59,10 @@ impl Correlation {
             return 0.0;
         }
         let (pattern, value) = (pattern / weight, value / weight);
-        let variance = (square / weight - value * value) * (1.0 - pattern * pattern);
-        // Counts that differ by less than a hundredth of their size are constant.
-        if variance > 1e-4 * value * value { (product / weight - value * pattern) / variance.sqrt() } else { 0.0 }
+        let variance = square / weight - value * value;
+        // Noise correlates with anything: differences must stand out from a part of the counts themselves.
+        let spread = (variance.max(0.0) + (NOISE * value).powi(2)).sqrt();
+        if spread > 0.0 { (product / weight - value * pattern) / ((1.0 - pattern * pattern).sqrt() * spread) } else { 0.0 }
     }
 }
 

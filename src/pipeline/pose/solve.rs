@@ -4,21 +4,16 @@
 /// is not positive definite.
 pub(super) fn factor<const N: usize>(a: &mut [[f64; N]; N]) -> bool {
     for j in 0..N {
-        let mut diagonal = a[j][j];
-        for k in 0..j {
-            diagonal -= a[j][k] * a[j][k];
-        }
-        if diagonal.is_nan() || diagonal <= 0.0 {
-            return false;
-        }
-        let root = diagonal.sqrt();
-        a[j][j] = root;
-        for i in j + 1..N {
-            let mut sum = a[i][j];
-            for k in 0..j {
-                sum -= a[i][k] * a[j][k];
+        for i in j..N {
+            let known: f64 = a[i][..j].iter().zip(&a[j][..j]).map(|(x, y)| x * y).sum();
+            let rest = a[i][j] - known;
+            if i > j {
+                a[i][j] = rest / a[j][j];
+            } else if rest > 0.0 {
+                a[j][j] = rest.sqrt();
+            } else {
+                return false;
             }
-            a[i][j] = sum / root;
         }
     }
     true
@@ -27,16 +22,12 @@ pub(super) fn factor<const N: usize>(a: &mut [[f64; N]; N]) -> bool {
 /// Solves L Lᵀ x = b for a factor from [`factor`].
 pub(super) fn solve<const N: usize>(factor: &[[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
     for i in 0..N {
-        for k in 0..i {
-            b[i] -= factor[i][k] * b[k];
-        }
-        b[i] /= factor[i][i];
+        let known: f64 = factor[i][..i].iter().zip(&b).map(|(x, y)| x * y).sum();
+        b[i] = (b[i] - known) / factor[i][i];
     }
     for i in (0..N).rev() {
-        for k in i + 1..N {
-            b[i] -= factor[k][i] * b[k];
-        }
-        b[i] /= factor[i][i];
+        let known: f64 = factor[i + 1..].iter().zip(&b[i + 1..]).map(|(row, y)| row[i] * y).sum();
+        b[i] = (b[i] - known) / factor[i][i];
     }
     b
 }

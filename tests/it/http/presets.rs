@@ -1,6 +1,7 @@
 //! The presets through the interface: what comes back by default, that it can be asked for again, and how it fails.
 
 use super::harness::{Answer, Service, idle, study, with};
+use crate::shared;
 use serde_json::{Value, json};
 use ventricle::{
     jobs::{StoreSettings, WorkerSettings},
@@ -112,6 +113,23 @@ async fn a_study_without_a_ventricle_is_accepted_and_fails_by_name() {
     assert_eq!(problem["cause"]["code"], "no_left_ventricle");
     let why = problem["cause"]["detail"].as_str().unwrap();
     assert!(why.starts_with("No left ventricle was found: ") && why.contains("`pose`"), "{why}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn long_axis_slices_are_no_obstacle() {
+    let Some(folder) = shared::folder("long-axis") else { return };
+    let file = std::fs::read(folder.join("NM-MONO2-16-13x-heart.dcm")).unwrap();
+    let service = reconstructing().await;
+    let accepted = service.post("", &[("content-type", "application/dicom")], file).await;
+    let job = finished(&service, &accepted).await;
+    let report = report(&service, &job).await;
+    assert_eq!((&report["function"], &report["pose"]["patient"]), (&Value::Null, &Value::Null), "one gate, no orientation");
+    let told: Vec<&str> = report["warnings"].as_array().unwrap().iter().map(|warning| warning["code"].as_str().unwrap()).collect();
+    assert!(told.contains(&"long_axis_slices"), "{told:?}");
+    assert!(!report["quality"]["flags"].as_array().unwrap().contains(&json!("long_axis_slices")));
+    for name in ["surfaces.glb", "gates/1/endocardial.glb", "gates/1/wall.vtu"] {
+        assert_eq!(service.get(&format!("{}/{name}", accepted.header("location"))).await.status, 200, "{name}");
+    }
 }
 
 #[tokio::test]

@@ -120,10 +120,10 @@ async fn marks_outside_of_the_study_are_refused_at_once() {
         service.post(query, &json, study(0).to_string()).await.problem(422, "region_outside_study");
     }
     for query in
-        ["?pose.apex_mm=40,40,-1", "?pose.base_mm=40,75.1,0", "?pose.base_mm=[1e300,1,1]", "?pose.apex_mm=40,40,5&pose.base_mm=40,40,20"]
+        ["?pose.apex_mm=40,40,-3", "?pose.base_mm=40,77.6,0", "?pose.base_mm=[1e300,1,1]", "?pose.apex_mm=40,40,5&pose.base_mm=40,40,20"]
     {
         let problem = service.post(query, &json, study(0).to_string()).await.problem(422, "region_outside_study");
-        assert!(problem["detail"].as_str().unwrap().contains("`pose."), "{problem}");
+        assert!(problem["detail"].as_str().unwrap().contains("_mm` "), "{problem}");
     }
     assert_eq!(service.post("?pose.apex_mm=5,40,5&pose.base_mm=70,40,20", &json, study(0).to_string()).await.status, 202);
     assert_eq!(service.post("?region.centre_mm=40,35.5&region.last_slice=6", &json, study(0).to_string()).await.status, 202);
