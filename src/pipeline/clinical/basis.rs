@@ -112,7 +112,12 @@ impl Spot {
     pub(super) fn terms(&self) -> Vec<(usize, f64)> {
         let of_spline = |(k, spline): (usize, &f64)| {
             let spline = *spline;
-            self.harmonics.iter().take(HARMONICS).enumerate().map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value)).collect::<Vec<_>>()
+            self.harmonics
+                .iter()
+                .take(HARMONICS)
+                .enumerate()
+                .map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value))
+                .collect::<Vec<_>>()
         };
         self.splines.iter().enumerate().flat_map(of_spline).collect()
     }

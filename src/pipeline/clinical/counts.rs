@@ -40,7 +40,9 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
     let grid = study.grid;
     let frame = &space.frame;
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for (point, reach) in [(DVec3::ZERO, frame.unit_mm.max(frame.apex_mm) + AROUND_MM), (DVec3::Z * frame.base_mm, frame.unit_mm + AROUND_MM)] {
+    for (point, reach) in
+        [(DVec3::ZERO, frame.unit_mm.max(frame.apex_mm) + AROUND_MM), (DVec3::Z * frame.base_mm, frame.unit_mm + AROUND_MM)]
+    {
         let point = frame.grid(point);
         low = low.min(point - reach);
         high = high.max(point + reach);
@@ -48,7 +50,9 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
     let (from, to) = (grid.fractional_index(low), grid.fractional_index(high));
     let first: [usize; 3] = std::array::from_fn(|axis| (from[axis].floor().max(0.0) as usize).min(grid.shape[axis] - 1));
     let end: [usize; 3] = std::array::from_fn(|axis| (to[axis].ceil().max(0.0) as usize + 1).min(grid.shape[axis]).max(first[axis] + 1));
-    let bin: [usize; 3] = std::array::from_fn(|axis| (((BIN * sigma_mm).min(WIDEST_BIN_MM) / grid.spacing_mm[axis]) as usize).clamp(1, end[axis] - first[axis]));
+    let bin: [usize; 3] = std::array::from_fn(|axis| {
+        (((BIN * sigma_mm).min(WIDEST_BIN_MM) / grid.spacing_mm[axis]) as usize).clamp(1, end[axis] - first[axis])
+    });
     let crop = Crop {
         origin_mm: std::array::from_fn(|axis| (first[axis] as f64 + (bin[axis] - 1) as f64 / 2.0) * grid.spacing_mm[axis]),
         spacing_mm: std::array::from_fn(|axis| bin[axis] as f64 * grid.spacing_mm[axis]),
@@ -61,9 +65,7 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
         let [_, ny, nx] = crop.shape;
         let at = [voxel / (ny * nx), voxel / nx % ny, voxel % nx];
         let start: [usize; 3] = std::array::from_fn(|axis| first[axis] + at[axis] * bin[axis]);
-        (0..bin[0]).flat_map(move |z| {
-            (0..bin[1]).flat_map(move |y| (0..bin[2]).map(move |x| [start[0] + z, start[1] + y, start[2] + x]))
-        })
+        (0..bin[0]).flat_map(move |z| (0..bin[1]).flat_map(move |y| (0..bin[2]).map(move |x| [start[0] + z, start[1] + y, start[2] + x])))
     };
     let size = bin.iter().product::<usize>() as f64;
     let gates: Vec<Vec<f32>> = study
@@ -77,8 +79,9 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
                 .collect()
         })
         .collect();
-    let known =
-        (0..crop.voxels()).map(|voxel| members(voxel).all(|member| study.gates.iter().any(|gate| gate.volume.counts[member] > 0.0))).collect();
+    let known = (0..crop.voxels())
+        .map(|voxel| members(voxel).all(|member| study.gates.iter().any(|gate| gate.volume.counts[member] > 0.0)))
+        .collect();
     let places = crop
         .centres_mm()
         .map(|centre| {

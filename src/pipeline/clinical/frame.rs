@@ -64,11 +64,7 @@ impl Frame {
     pub(super) fn bullet(&self, local: DVec3) -> (f64, f64, f64) {
         let across = local.x.hypot(local.y);
         let phi = local.y.atan2(local.x);
-        if local.z < 0.0 {
-            (across.atan2(-local.z), phi, across.hypot(local.z))
-        } else {
-            (FRAC_PI_2 + local.z / self.unit_mm, phi, across)
-        }
+        if local.z < 0.0 { (across.atan2(-local.z), phi, across.hypot(local.z)) } else { (FRAC_PI_2 + local.z / self.unit_mm, phi, across) }
     }
 
     /// Grid mm of bullet coordinates.

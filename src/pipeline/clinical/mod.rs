@@ -27,10 +27,10 @@ use crate::study::{Study, Warning};
 use basis::Basis;
 
 use frame::Frame;
-use rays::Rays;
 use rayon::prelude::*;
-use shape::Space;
+use rays::Rays;
 use serde::{Deserialize, Serialize};
+use shape::Space;
 
 /// What the model of the camera says of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -130,7 +130,8 @@ pub struct GateFit {
 ///
 /// Errors: no left ventricle, marks outside the study, or cancelled.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    let (pose, mut warnings) = observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
+    let (pose, mut warnings) =
+        observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
     let mut pose = pose;
     if parameters.pose.apex_mm.is_none() && pose.length_mm() < SHORTEST * pose.radius_mm {
         warnings.push(Warning::new("apex_not_seen", APEX_NOT_SEEN));
@@ -139,7 +140,9 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
     let frame = Frame::about(&pose);
     let basis = Basis::new(frame.s_of_height(frame.base_mm + ABOVE_BASE_MM));
     let space = Space { frame, basis };
-    let rays = observed(monitor, Stage::Rays, None, || Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>()))?;
+    let rays = observed(monitor, Stage::Rays, None, || {
+        Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>())
+    })?;
     let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine::refine(study, &space, &rays, &parameters.refine, monitor))?;
     let steps = model.steps;
     let gates = observed(monitor, Stage::Wall, None, || {
@@ -149,7 +152,10 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
                 let mut meshes = surfaces::meshes(shape, &space, parameters.mesh.level);
                 let wall_order = wall::order(&mut meshes.endocardial, &mut meshes.epicardial);
                 let fit = |mesh| Fit { mesh, steps, evolution: None };
-                GateReconstruction { fits: PerSurface { endocardial: fit(meshes.endocardial), epicardial: fit(meshes.epicardial) }, wall_order }
+                GateReconstruction {
+                    fits: PerSurface { endocardial: fit(meshes.endocardial), epicardial: fit(meshes.epicardial) },
+                    wall_order,
+                }
             })
             .collect::<Vec<_>>())
     })?;

@@ -10,7 +10,7 @@ use super::{
 };
 
 /// Thickness of the wall: mean and standard deviation in mm (`numerics.md`, §4.4).
-pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 6.0];
+pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 8.0];
 /// Slope of the valve plane: standard deviation in mm at 30 mm from the axis, 7.6 degrees.
 const SLOPE_MM: f64 = 4.0;
 /// Roughness of the mid-wall and of the thickness, an mm² of the penalties below.

@@ -142,17 +142,7 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
     };
     let (inner, outer) = (smooth(basis, &nodes, &slopes(1.0), SMOOTHING), smooth(basis, &nodes, &slopes(-1.0), SMOOTHING));
     let gradient = between(&inner, &outer, base_mm.unwrap_or(frame.base_mm));
-    Rays {
-        mid,
-        gradient,
-        base_mm,
-        continued,
-        peak,
-        low: low / all,
-        wall: high,
-        blood,
-        background,
-    }
+    Rays { mid, gradient, base_mm, continued, peak, low: low / all, wall: high, blood, background }
 }
 
 /// The shape between two surfaces given as `[SPLINES × HARMONICS]` radii. Thickness keeps the harmonics it has; the mid-wall the rest.
@@ -306,13 +296,16 @@ pub(super) fn uptake_map(space: &Space, rays: &[Rays], base_mm: f64) -> Vec<f64>
         .iter()
         .enumerate()
         .map(|(node, (s, _))| {
-            let of_gates = rays.iter().map(|rays| (rays.peak[node] - rays.background) / (rays.wall - rays.background).max(f64::MIN_POSITIVE));
+            let of_gates =
+                rays.iter().map(|rays| (rays.peak[node] - rays.background) / (rays.wall - rays.background).max(f64::MIN_POSITIVE));
             let uptake = (of_gates.sum::<f64>() / rays.len() as f64).clamp(0.0, 1.0);
             (*s < end).then(|| if uptake > NORMAL { 0.0 } else { uptake / TYPICAL - 1.0 })
         })
         .collect();
     let mut map = vec![0.0; SPLINES * MAP_HARMONICS];
-    for (of_map, found) in map.chunks_exact_mut(MAP_HARMONICS).zip(smooth(&space.basis, &nodes, &values, [0.3, 0.0]).chunks_exact(HARMONICS)) {
+    for (of_map, found) in
+        map.chunks_exact_mut(MAP_HARMONICS).zip(smooth(&space.basis, &nodes, &values, [0.3, 0.0]).chunks_exact(HARMONICS))
+    {
         of_map[..HARMONICS].copy_from_slice(found);
     }
     map
@@ -369,8 +362,7 @@ impl<'a> Interpolated<'a> {
                 places[axis][k] = (floor + offset).clamp(0.0, last) as usize;
             }
             let (t2, t3) = (t * t, t * t * t);
-            weights[axis] =
-                [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2];
+            weights[axis] = [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2];
         }
         let mut sum = 0.0;
         for (z, wz) in places[0].iter().zip(weights[0]) {

@@ -93,7 +93,8 @@ pub(super) fn refine(
 
 /// The width by the distance of the steepest slopes on both sides of the wall, in mm FWHM.
 fn guess_fwhm_mm(space: &Space, rays: &[Rays]) -> f64 {
-    let distances = rays.iter().flat_map(|rays| (1..7).map(|k| rays.gradient.thickness_mm(&space.basis.at(0.25 * f64::from(k), &Angle::new(0.0)))));
+    let distances =
+        rays.iter().flat_map(|rays| (1..7).map(|k| rays.gradient.thickness_mm(&space.basis.at(0.25 * f64::from(k), &Angle::new(0.0)))));
     let distance = rays::percentile(distances, 0.5);
     FWHM_PER_SIGMA * 0.5 * (distance * distance - WALL_MM2).max(LEAST_MM2).sqrt()
 }
@@ -114,7 +115,8 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
         values.extend([*base_mm, 0.0, 0.0]);
         Shape { values }
     };
-    let map = if chosen.uptake_map { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; UPTAKE] };
+    let map =
+        if chosen.uptake_map { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; UPTAKE] };
     let state = State {
         shapes: rays.iter().zip(&bases).map(shape).collect(),
         activity: Activity {

@@ -2,7 +2,7 @@
 //! (Galt, Garcia and Robbins, IEEE Trans Med Imaging 9:144, 1990). A second opinion that needs no edge of the endocardium.
 
 use super::{
-    basis::{Angle, HARMONICS, SPLINES, WHOLE},
+    basis::{Angle, HARMONICS, SPLINES},
     priors::THICKNESS_MM,
     rays::{AROUND, Rays, places},
     shape::{LOCAL, STRIDE, Shape, Space, Volumes},
@@ -49,7 +49,6 @@ pub(super) fn cavity_ml(space: &Space, rays: &[Rays], shapes: &[Shape], unit: &[
         values[LOCAL - 3..].copy_from_slice(&shapes[gate].values[LOCAL - 3..]);
         Volumes::of(&Shape { values }, space).ml.endocardial
     });
-    let _ = WHOLE;
     Some(volumes.collect())
 }
 
