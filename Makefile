@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test lint openapi tables
+.PHONY: help demo build test lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -34,3 +34,10 @@ openapi: ## writes openapi/openapi.json from the routes
 
 tables: build ## redoes the paper's tables and figures into docs/paper.md and docs/paper/
 	@"$(CARGO_TARGET_DIR)/release/ventricle" tables --write docs/paper.md --figures docs/paper
+
+# The labelled studies are not part of the project; without them their tables stay as they are.
+LABELLED ?= ../shared/data/gated-short-axis
+
+accuracy: build ## measures both presets on phantoms and labelled studies into docs/accuracy.md (about half an hour)
+	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --ablation --write docs/accuracy.md --plots docs/accuracy \
+		$(if $(wildcard $(LABELLED)/labels.json),--real $(LABELLED))

@@ -3,12 +3,18 @@
 //!
 //! Everything comes out the same wherever it runs, seconds apart. A study that fails is counted as a failure beside every number.
 
+pub mod ablation;
+pub mod bland_altman;
+pub mod criteria;
 pub mod distance;
 mod draw;
 pub mod family;
 mod hearts;
 pub mod line;
 pub mod parallel;
+pub mod pictures;
+pub mod published;
+pub mod real;
 pub mod score;
 pub mod statistics;
 pub mod tables;

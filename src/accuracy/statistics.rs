@@ -1,5 +1,7 @@
 //! Agreement of a method with the truth, after Bland & Altman 1986.
 
+use crate::drawing::markdown::signed;
+
 /// The half-width of the limits of agreement, and of a 95 % interval, in standard deviations.
 pub const NORMAL_95: f64 = 1.96;
 
@@ -37,6 +39,29 @@ impl Agreement {
     pub fn limits(&self) -> (f64, f64) {
         (self.bias - NORMAL_95 * self.sd, self.bias + NORMAL_95 * self.sd)
     }
+}
+
+impl Agreement {
+    /// Bias ± standard deviation as it is read: the bias alone of one study, a dash of none.
+    pub fn text(&self, decimals: usize) -> String {
+        let bias = signed(self.bias, decimals);
+        match (self.bias.is_finite(), self.sd.is_finite()) {
+            (false, _) => "—".to_owned(),
+            (true, false) => bias,
+            (true, true) => format!("{bias} ± {:.decimals$}", self.sd),
+        }
+    }
+
+    /// The limits of agreement as they are read.
+    pub fn limits_text(&self) -> String {
+        let (low, high) = self.limits();
+        if self.sd.is_finite() { format!("{} to {}", signed(low, 1), signed(high, 1)) } else { "—".to_owned() }
+    }
+}
+
+/// A value with decimals, or a dash where it is no number.
+pub fn known(value: f64, decimals: usize) -> String {
+    if value.is_finite() { format!("{value:.decimals$}") } else { "—".to_owned() }
 }
 
 /// The mean; NaN of nothing.
@@ -95,6 +120,8 @@ mod tests {
     fn the_worst_is_by_size_and_keeps_its_sign() {
         assert_eq!(Agreement::of([Some(3.0), None, Some(-7.0)]).worst, Some((-7.0, 2)));
         let none = Agreement::of([None]);
+        assert_eq!((none.text(1), Agreement::of([Some(2.0)]).text(1)), ("—".to_owned(), "+2.0".to_owned()));
+        assert_eq!(Agreement::of([Some(2.0), Some(4.0)]).text(1), "+3.0 ± 1.4");
         assert!(none.bias.is_nan() && none.sd.is_nan() && none.worst.is_none() && none.failed == 1);
     }
 

@@ -22,7 +22,8 @@ pub struct Chart {
 }
 
 impl Chart {
-    fn place(&self, (x, y): (f64, f64)) -> (f64, f64) {
+    /// Where a value lies on the sheet.
+    pub fn place(&self, (x, y): (f64, f64)) -> (f64, f64) {
         let part = |value: f64, (from, to): (f64, f64)| (value - from) / (to - from);
         (self.corner.0 + part(x, self.across) * self.size.0, self.corner.1 + (1.0 - part(y, self.upwards)) * self.size.1)
     }
@@ -53,6 +54,14 @@ impl Chart {
         let (from, to) = (self.place((self.across.0, value)), self.place((self.across.1, value)));
         sheet.line(&[from, to], INK, 1.4);
         sheet.text((from.0 + 4.0, from.1 + 14.0), 11.0, Anchor::Start, FAINT, name);
+    }
+
+    /// A disc at a value, held to the plotted area; whether it lies within.
+    pub fn disc(&self, sheet: &mut Sheet, (x, y): (f64, f64), radius: f64, colour: &str) -> bool {
+        let within = |value: f64, (from, to): (f64, f64)| value.clamp(from, to);
+        let held = (within(x, self.across), within(y, self.upwards));
+        sheet.disc(self.place(held), radius, colour);
+        (held.0 - x).abs() + (held.1 - y).abs() < 1e-9
     }
 
     /// A line; what lies outside the axes is left out.

@@ -35,6 +35,15 @@ impl Picture {
         }
     }
 
+    /// Lays another picture over this one, its upper left corner at a place, as far as it fits.
+    pub fn paste(&mut self, other: &Self, (left, top): (usize, usize)) {
+        let width = other.width.min(self.width.saturating_sub(left));
+        for y in 0..other.height.min(self.height.saturating_sub(top)) {
+            let (to, from) = (3 * ((top + y) * self.width + left), 3 * y * other.width);
+            self.rgb[to..to + 3 * width].copy_from_slice(&other.rgb[from..from + 3 * width]);
+        }
+    }
+
     /// The rectangle of pixels from a corner, as far as the picture goes.
     #[must_use]
     pub fn cut(&self, (left, top): (usize, usize), (width, height): (usize, usize)) -> Self {
@@ -112,6 +121,14 @@ mod tests {
         let mut data = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut data).unwrap();
         (info.width, info.height, data)
+    }
+
+    #[test]
+    fn a_picture_laid_over_another_is_cut_at_its_edge() {
+        let mut below = Picture::of_colour(3, 3, [0.0; 3]);
+        below.paste(&Picture::of_colour(2, 2, [1.0; 3]), (2, 1));
+        let white: Vec<usize> = (0..9).filter(|&pixel| below.rgb[3 * pixel] == 255).collect();
+        assert_eq!(white, [5, 8]);
     }
 
     #[test]

@@ -106,7 +106,7 @@ mod tests {
         ] {
             let imaging = Imaging { gates: 1, noise_seed: None, counts: 1.0, psf: Psf::gaussian(0.0), ..Imaging::default() };
             let uptake = Uptake { background: 0.0, blood_pool: 0.0, ..Uptake::default() };
-            let simulation = simulate(&Phantom { imaging, uptake, ..Phantom::of(Shape::Decoy(decoy)) }).unwrap();
+            let simulation = simulate(&Phantom { uptake, imaging, ..Phantom::of(Shape::Decoy(decoy)) }).unwrap();
             let volume = &simulation.study.gates[0].volume;
             let found = volume.total() * volume.grid.voxel_mm3();
             assert!((found / mm3 - 1.0).abs() < 0.01, "{decoy:?}: {found} against {mm3}");

@@ -8,6 +8,8 @@ use std::f64::consts::TAU;
 pub(super) const SPLINES: usize = 8;
 /// Constant, cosine and sine of φ, cosine and sine of 2φ: round, shifted, oval.
 pub(super) const HARMONICS: usize = 5;
+/// The uptake map has those up to 5φ: a defect of a tenth of the wall is a sector of 36 degrees.
+pub(super) const MAP_HARMONICS: usize = 11;
 /// The `s` above which harmonics are whole.
 const FADES_BELOW: f64 = 0.7;
 
@@ -48,7 +50,7 @@ impl Angle {
 pub(super) struct Spot {
     pub(super) first: usize,
     pub(super) splines: [f64; 4],
-    pub(super) harmonics: [f64; HARMONICS],
+    pub(super) harmonics: [f64; MAP_HARMONICS],
 }
 
 impl Basis {
@@ -82,11 +84,17 @@ impl Basis {
 }
 
 /// The harmonics at a place.
-fn harmonics(s: f64, angle: &Angle) -> [f64; HARMONICS] {
+fn harmonics(s: f64, angle: &Angle) -> [f64; MAP_HARMONICS] {
     let fade = (s / FADES_BELOW).clamp(0.0, 1.0);
-    let Angle { sin, cos, .. } = *angle;
-    let second = fade * fade;
-    [1.0, fade * cos, fade * sin, second * (cos * cos - sin * sin), second * 2.0 * sin * cos]
+    // Powers of fade · e^(iφ).
+    let (x, y) = (fade * angle.cos, fade * angle.sin);
+    let (mut re, mut im) = (1.0, 0.0);
+    let mut values = [1.0; MAP_HARMONICS];
+    for pair in values[1..].chunks_exact_mut(2) {
+        (re, im) = (re * x - im * y, re * y + im * x);
+        pair.copy_from_slice(&[re, im]);
+    }
+    values
 }
 
 impl Spot {
@@ -104,16 +112,17 @@ impl Spot {
     pub(super) fn terms(&self) -> Vec<(usize, f64)> {
         let of_spline = |(k, spline): (usize, &f64)| {
             let spline = *spline;
-            self.harmonics.iter().enumerate().map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value)).collect::<Vec<_>>()
+            self.harmonics.iter().take(HARMONICS).enumerate().map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value)).collect::<Vec<_>>()
         };
         self.splines.iter().enumerate().flat_map(of_spline).collect()
     }
 }
 
-/// Strides of a function with all harmonics.
+/// Strides of a surface, and of the uptake map.
 pub(super) const WHOLE: (usize, usize, usize) = (HARMONICS, 0, HARMONICS);
+pub(super) const MAP_WHOLE: (usize, usize, usize) = (MAP_HARMONICS, 0, MAP_HARMONICS);
 
-/// Order of a harmonic's index: 0, 1, 1, 2, 2.
+/// Order of a harmonic's index: 0, 1, 1, 2, 2 and so on.
 pub(super) fn order(harmonic: usize) -> usize {
     harmonic.div_ceil(2)
 }
@@ -137,9 +146,11 @@ mod tests {
 
     #[test]
     fn harmonics_vanish_at_the_apex() {
-        assert_eq!(harmonics(0.0, &Angle::new(1.0)), [1.0, 0.0, 0.0, 0.0, 0.0]);
-        let [one, c, s, c2, s2] = harmonics(1.0, &Angle::new(0.3));
+        let [round, rest @ ..] = harmonics(0.0, &Angle::new(1.0));
+        assert!(round.to_bits() == 1.0_f64.to_bits() && rest.iter().all(|value| value.abs() < 1e-300));
+        let [one, c, s, c2, s2, c3, s3, ..] = harmonics(1.0, &Angle::new(0.3));
         assert!((one - 1.0).abs() < 1e-15 && (c - 0.3_f64.cos()).abs() < 1e-15 && (s - 0.3_f64.sin()).abs() < 1e-15);
+        assert!((c3 - 0.9_f64.cos()).abs() < 1e-15 && (s3 - 0.9_f64.sin()).abs() < 1e-15);
         assert!((c2 - 0.6_f64.cos()).abs() < 1e-15 && (s2 - 0.6_f64.sin()).abs() < 1e-15);
     }
 }

@@ -7,7 +7,7 @@
 //! the parameters, and derivatives by the radius of a surface are surface integrals.
 
 use super::{
-    basis::{Angle, HARMONICS, SPLINES, Spot, WHOLE},
+    basis::{Angle, HARMONICS, MAP_HARMONICS, MAP_WHOLE, SPLINES, Spot},
     quadrature::gauss_legendre,
     shape::{BASE, LOCAL, SLOPE_AT_MM, STRIDE, SURFACES, Shape, Space, THICKNESS_HARMONICS},
 };
@@ -16,7 +16,7 @@ use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Coefficients of the uptake map.
-pub(super) const UPTAKE: usize = SPLINES * HARMONICS;
+pub(super) const UPTAKE: usize = SPLINES * MAP_HARMONICS;
 /// Columns of the parameters all gates share: wall activity, blood, background, then the uptake map.
 pub(super) const ACTIVITY: usize = LOCAL;
 pub(super) const BLOOD: usize = LOCAL + 1;
@@ -72,7 +72,6 @@ pub(super) struct Exposure {
     pub(super) image: Vec<f32>,
     /// `[voxels × columns]`, empty if not asked for.
     pub(super) jacobian: Vec<f32>,
-    pub(super) columns: usize,
 }
 
 /// What is asked for.
@@ -92,7 +91,7 @@ pub(super) fn expose(crop: &Crop, space: &Space, shape: &Shape, activity: &Activ
     let mut camera = Camera::new(crop, sigma_mm, columns);
     let scene = Scene { space, shape, activity };
     scene.show(&mut camera);
-    camera.finish(activity.background)
+    camera.finish(activity)
 }
 
 /// Nodes and what they carry.
@@ -140,13 +139,13 @@ impl Scene<'_> {
             for angle in &rules.angles {
                 self.cap_node(camera, &rules, s, angle, weight * FRAC_PI_2 * around);
             }
-            camera.end_ring(&self.space.basis.splines(s));
+            camera.end_ring(&self.space.basis.splines(s), self.activity.wall);
         }
         for &(at, weight) in &rules.cylinder {
             for angle in &rules.angles {
                 self.cylinder_node(camera, &rules, at, angle, weight * around);
             }
-            camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())));
+            camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())), self.activity.wall);
         }
         if camera.columns > 0 {
             for angle in &rules.angles {
@@ -157,7 +156,7 @@ impl Scene<'_> {
 
     /// Relative uptake.
     fn uptake(&self, spot: &Spot) -> f64 {
-        (1.0 + spot.value(&self.activity.map, WHOLE)).max(LEAST_UPTAKE)
+        (1.0 + spot.value(&self.activity.map, MAP_WHOLE)).max(LEAST_UPTAKE)
     }
 
     fn cap_node(&self, camera: &mut Camera<'_>, rules: &Rules, s: f64, angle: &Angle, ring: f64) {
@@ -223,9 +222,15 @@ impl Scene<'_> {
     }
 
     fn wall(&self, camera: &mut Camera<'_>, point_mm: DVec3, spot: &Spot, uptake: f64, volume: f64) {
-        let [h0, h1, h2, h3, h4] = spot.harmonics.map(|h| (h * volume * self.activity.wall) as f32);
-        let excess = (self.activity.wall * uptake - self.activity.background) * volume;
-        camera.volume(point_mm, [h0, h1, h2, h3, h4, (uptake * volume) as f32, volume as f32, excess as f32]);
+        if camera.columns == 0 {
+            return camera.excess(point_mm, ((self.activity.wall * uptake - self.activity.background) * volume) as f32);
+        }
+        let mut carried = [0.0_f32; LANES];
+        for (to, h) in carried.iter_mut().zip(spot.harmonics) {
+            *to = (h * volume) as f32;
+        }
+        carried[LIT] = (uptake * volume) as f32;
+        camera.volume(point_mm, carried);
     }
 
     fn cavity(&self, camera: &mut Camera<'_>, point_mm: DVec3, volume: f64) {
@@ -242,7 +247,7 @@ impl Scene<'_> {
             Surface::Epicardial => (self.activity.wall * uptake - self.activity.background, 0.5),
         };
         let mut carried = [0.0_f32; STRIDE];
-        for (h, value) in spot.harmonics.iter().enumerate() {
+        for (h, value) in spot.harmonics.iter().take(HARMONICS).enumerate() {
             let by = value * excess * area;
             carried[h] = by as f32;
             if h < THICKNESS_HARMONICS {
@@ -301,7 +306,7 @@ struct Camera<'a> {
     columns: usize,
     image: Vec<f32>,
     jacobian: Vec<f32>,
-    /// Of the ring at hand, `[voxels × 8]`: surface harmonics; wall harmonics and occupancies.
+    /// Of the ring at hand, `[voxels × …]`: surface harmonics; wall harmonics and uptake.
     of_surface: Vec<f32>,
     of_wall: Vec<f32>,
     /// Of all rings, `[voxels]`: wall with uptake, wall, cavity.
@@ -333,8 +338,8 @@ impl<'a> Camera<'a> {
             columns,
             image: vec![0.0; voxels],
             jacobian: vec![0.0; derived * columns],
-            of_surface: vec![0.0; derived * 8],
-            of_wall: vec![0.0; derived * 8],
+            of_surface: vec![0.0; derived * STRIDE],
+            of_wall: vec![0.0; derived * LANES],
             lit: vec![0.0; derived],
             wall: vec![0.0; derived],
             cavity: vec![0.0; derived],
@@ -366,24 +371,23 @@ impl<'a> Camera<'a> {
         }
     }
 
-    fn volume(&mut self, point_mm: DVec3, carried: [f32; 8]) {
-        let excess = carried[7];
-        if self.columns == 0 {
-            self.rows(point_mm, |camera, start, weight, along| {
-                for (voxel, value) in camera.image[start..].iter_mut().zip(along) {
-                    *voxel += weight * excess * value;
+    fn excess(&mut self, point_mm: DVec3, excess: f32) {
+        self.rows(point_mm, |camera, start, weight, along| {
+            for (voxel, value) in camera.image[start..].iter_mut().zip(along) {
+                *voxel += weight * excess * value;
+            }
+        });
+    }
+
+    fn volume(&mut self, point_mm: DVec3, carried: [f32; LANES]) {
+        self.rows(point_mm, |camera, start, weight, along| {
+            for (lanes, value) in camera.of_wall[LANES * start..].chunks_exact_mut(LANES).zip(along) {
+                let weight = weight * value;
+                for (to, what) in lanes.iter_mut().zip(carried) {
+                    *to += weight * what;
                 }
-            });
-        } else {
-            self.rows(point_mm, |camera, start, weight, along| {
-                for (eight, value) in camera.of_wall[8 * start..].chunks_exact_mut(8).zip(along) {
-                    let weight = weight * value;
-                    for (to, what) in eight.iter_mut().zip(carried) {
-                        *to += weight * what;
-                    }
-                }
-            });
-        }
+            }
+        });
     }
 
     fn cavity(&mut self, point_mm: DVec3, [volume, excess]: [f32; 2]) {
@@ -424,14 +428,14 @@ impl<'a> Camera<'a> {
     }
 
     /// Hands what a ring collected to the columns of its splines.
-    fn end_ring(&mut self, (first, splines): &(usize, [f64; 4])) {
+    fn end_ring(&mut self, (first, splines): &(usize, [f64; 4]), activity: f64) {
         if self.columns == 0 {
             return;
         }
         let [_, ny, nx] = self.crop.shape;
         let [[z0, z1], [y0, y1], [x0, x1]] = self.touched;
         self.touched = [[usize::MAX, 0]; 3];
-        let splines = splines.map(|value| value as f32);
+        let (splines, activity) = (splines.map(|value| value as f32), activity as f32);
         let mapped = self.columns > MAP;
         for z in z0..z1 {
             for y in y0..y1 {
@@ -445,38 +449,44 @@ impl<'a> Camera<'a> {
                         }
                     }
                     eight.fill(0.0);
-                    let eight = &mut self.of_wall[8 * voxel..][..8];
+                    let eight = &mut self.of_wall[LANES * voxel..][..LANES];
                     if mapped {
                         for (k, spline) in splines.iter().enumerate() {
-                            for (to, what) in row[MAP + (first + k) * HARMONICS..][..HARMONICS].iter_mut().zip(eight.iter()) {
-                                *to += spline * what;
+                            let by = spline * activity;
+                            for (to, what) in row[MAP + (first + k) * MAP_HARMONICS..][..MAP_HARMONICS].iter_mut().zip(eight.iter()) {
+                                *to += by * what;
                             }
                         }
                     }
-                    self.lit[voxel] += eight[5];
-                    self.wall[voxel] += eight[6];
-                    self.image[voxel] += eight[7];
+                    self.lit[voxel] += eight[LIT];
+                    self.wall[voxel] += eight[0];
                     eight.fill(0.0);
                 }
             }
         }
     }
 
-    fn finish(mut self, background: f64) -> Exposure {
-        let background = background as f32;
+    fn finish(mut self, activity: &Activity) -> Exposure {
+        let (bright, background) = (activity.wall as f32, activity.background as f32);
         for voxel in &mut self.image {
             *voxel += background;
         }
         if self.columns > 0 {
             let occupied = self.lit.iter().zip(&self.wall).zip(&self.cavity);
-            for (row, ((lit, wall), cavity)) in self.jacobian.chunks_exact_mut(self.columns).zip(occupied) {
+            let rows = self.jacobian.chunks_exact_mut(self.columns).zip(&mut self.image);
+            for ((row, voxel), ((lit, wall), cavity)) in rows.zip(occupied) {
+                *voxel += bright * lit - background * wall;
                 row[ACTIVITY] = *lit;
                 row[BLOOD] = *cavity;
                 row[BACKGROUND] = 1.0 - wall - cavity;
             }
         }
-        Exposure { image: self.image, jacobian: self.jacobian, columns: self.columns }
+        Exposure { image: self.image, jacobian: self.jacobian }
     }
 }
 
-const _: () = assert!(STRIDE == 8 && SURFACES == SPLINES * STRIDE);
+/// Of the values a node of the wall carries, the one that its uptake is in; the harmonics of the map come before.
+const LIT: usize = MAP_HARMONICS;
+const LANES: usize = MAP_HARMONICS + 1;
+
+const _: () = assert!(STRIDE == 8 && LANES == 12 && SURFACES == SPLINES * STRIDE);

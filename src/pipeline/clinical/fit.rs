@@ -3,10 +3,11 @@
 
 use super::{
     basis::Spot,
-    exposure::{ACTIVITY, Activity, COLUMNS, COLUMNS_WITHOUT_MAP, Crop, MAP, UPTAKE, Want, expose},
+    counts::Counts,
+    exposure::{ACTIVITY, Activity, COLUMNS, COLUMNS_WITHOUT_MAP, MAP, UPTAKE, Want, expose},
     linear::{Arrow, Block},
     priors::{LocalPrior, Priors},
-    shape::{BASE, LOCAL, SURFACES, Shape, Space, Volumes},
+    shape::{BASE, LOCAL, SURFACES, Shape, Volumes},
 };
 use crate::pipeline::{
     PipelineError,
@@ -41,18 +42,6 @@ const WIDTH_STEP: f64 = 0.02;
 const ROUGH_STEPS: usize = 3;
 /// Steps end when none moves a coefficient by more.
 const REST_MM: f64 = 0.05;
-
-/// What is fitted to.
-pub(super) struct Counts {
-    pub(super) crop: Crop,
-    pub(super) space: Space,
-    /// Counts of every gate as parts of the wall's activity, all gates scaled to the same total.
-    pub(super) gates: Vec<Vec<f32>>,
-    /// Voxels within the field of view.
-    pub(super) known: Vec<bool>,
-    /// Local `[x, y, z]` of the voxels' `(s, φ, r)` and height.
-    pub(super) places: Vec<VoxelPlace>,
-}
 
 /// A voxel's centre in bullet coordinates, and its height over the centre.
 #[derive(Debug, Clone, Copy)]
@@ -89,6 +78,8 @@ pub(super) struct Solved {
     pub(super) steps: usize,
     pub(super) converged: bool,
     pub(super) system: System,
+    /// Voxels that count as one.
+    pub(super) correlated: f64,
 }
 
 /// Fits.
@@ -103,16 +94,14 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
         steps += 1;
         let Some((gates, shared)) = system.step(if steps <= ROUGH_STEPS { 0.01 } else { 1e-4 }) else { break };
         let longest = advance(&mut state, &gates, &shared, &plan);
-        if std::env::var("TRACE").is_ok() { let o: f64 = system.misfit.iter().map(|m| m.weighted).sum(); eprintln!("step {steps} longest {longest:.3} sigma {:.3} A {:.3} bl {:.3} bg {:.3} obj {o:.1} shared {:?}", state.sigma_mm, state.activity.wall, state.activity.blood, state.activity.background, shared[..4].iter().map(|x| (x*1e3).round()/1e3).collect::<Vec<_>>()); }
         converged = longest < REST_MM && steps > ROUGH_STEPS;
         if steps == ROUGH_STEPS {
             plan.correlated = correlated(counts, &state);
-            if std::env::var("TRACE").is_ok() { eprintln!("correlated {}", plan.correlated); }
         }
         monitor.advance(steps, plan.steps + 1);
     }
     let system = assemble(counts, &state, priors, &plan, monitor)?;
-    Ok(Solved { state, steps, converged, system })
+    Ok(Solved { state, steps, converged, system, correlated: plan.correlated })
 }
 
 /// Moves the parameters; returns the longest step of a shape in mm.

@@ -2,6 +2,7 @@
 //! and a model of how the camera blurs a wall of this shape is fitted to the counts of all gates at once.
 
 mod basis;
+mod counts;
 mod exposure;
 mod fit;
 mod frame;
@@ -9,8 +10,11 @@ mod linear;
 mod priors;
 mod quadrature;
 mod rays;
+mod refine;
 mod shape;
 mod surfaces;
+mod thickening;
+mod uncertainty;
 
 use super::{
     Fit, GateReconstruction, PerSurface, PipelineError, Reconstruction,
@@ -19,16 +23,13 @@ use super::{
     parameters::Parameters,
     pose, wall,
 };
-use crate::study::Study;
-use basis::{Angle, Basis};
-use exposure::{Activity, Crop};
-use fit::{Counts, Plan, State, VoxelPlace};
+use crate::study::{Study, Warning};
+use basis::Basis;
+
 use frame::Frame;
-use glam::DVec3;
-use priors::Priors;
 use rays::Rays;
 use rayon::prelude::*;
-use shape::{Shape, Space};
+use shape::Space;
 use serde::{Deserialize, Serialize};
 
 /// What the model of the camera says of a study.
@@ -130,11 +131,16 @@ pub struct GateFit {
 /// Errors: no left ventricle, marks outside the study, or cancelled.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
     let (pose, mut warnings) = observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
+    let mut pose = pose;
+    if parameters.pose.apex_mm.is_none() && pose.length_mm() < SHORTEST * pose.radius_mm {
+        warnings.push(Warning::new("apex_not_seen", APEX_NOT_SEEN));
+        pose.apex_mm = pose.base_mm - pose.to_base() * (USUAL * pose.radius_mm);
+    }
     let frame = Frame::about(&pose);
     let basis = Basis::new(frame.s_of_height(frame.base_mm + ABOVE_BASE_MM));
     let space = Space { frame, basis };
     let rays = observed(monitor, Stage::Rays, None, || Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>()))?;
-    let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine(study, &space, &rays, parameters, monitor))?;
+    let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine::refine(study, &space, &rays, &parameters.refine, monitor))?;
     let steps = model.steps;
     let gates = observed(monitor, Stage::Wall, None, || {
         Ok(shapes
@@ -150,7 +156,7 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
     warnings.extend(gates.iter().enumerate().filter_map(|(gate, result)| wall::warning(gate + 1, &result.wall_order)));
     Ok(Reconstruction {
         gates,
-        region: None,
+        region: pose.region(&study.grid),
         to_base: pose.to_base(),
         pose: Some(pose),
         model: Some(model),
@@ -159,112 +165,12 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
     })
 }
 
+/// Length over largest radius of the mid-wall surface below which the tip is taken to be missing: even the dilated phantom has 2.45, and a
+/// defect that takes the tip away leaves 2.0 to 2.25.
+const SHORTEST: f64 = 2.35;
+/// The same ratio of usual ventricles: the phantoms' 2.45 to 2.8, and 3 of healthy adults by magnetic resonance.
+const USUAL: f64 = 2.7;
+const APEX_NOT_SEEN: &str =
+    "The ventricle that is seen is too short for its width, as with a defect of the whole apex; a usual length was assumed to begin with.";
 /// How far above the pose's valve plane surfaces may reach: the plane moves by up to 15 mm over the cycle, and the pose's is its mean.
 const ABOVE_BASE_MM: f64 = 14.0;
-/// How far around the pose counts are looked at: half a wall, the blur, what the margin of the fit asks for.
-const AROUND_MM: f64 = 30.0;
-
-/// Voxels are binned up to this many standard deviations of the point-spread function: half a period of the highest frequency that 3 % of
-/// are left of.
-const BIN: f64 = 1.75;
-/// And no wider than this in mm: about two thirds of a wall.
-const WIDEST_BIN_MM: f64 = 6.5;
-
-fn refine(study: &Study, space: &Space, rays: &[Rays], parameters: &Parameters, monitor: &dyn Monitor) -> Result<(Vec<Shape>, ModelFit), PipelineError> {
-    let thick = rays::percentile(rays.iter().flat_map(|rays| (1..7).map(|k| rays.gradient.thickness_mm(&space.basis.at(0.25 * f64::from(k), &Angle::new(0.0))))), 0.5);
-    let fwhm = parameters.refine.psf_fwhm_mm.unwrap_or(FWHM_PER_SIGMA * 0.5 * (thick * thick - 60.0).max(36.0).sqrt());
-    if std::env::var("TRACE").is_ok() { eprintln!("start fwhm {fwhm} gradient distance {thick}"); }
-    let counts = gather(study, space, rays, fwhm / FWHM_PER_SIGMA);
-    let median = |of: &dyn Fn(&Rays) -> f64| rays::percentile(rays.iter().map(of), 0.5);
-    let wall = median(&|rays| rays.wall);
-    let low = median(&|rays| rays.low);
-    let bases: Vec<f64> = rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)).collect();
-    let defect = low > 0.06;
-    let shapes: Vec<Shape> = rays.iter().zip(&bases).map(|(rays, &base_mm)| start(if defect { &rays.continued } else { &rays.mid }, base_mm)).collect();
-    let map = if defect { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; exposure::UPTAKE] };
-    let held: Option<Vec<Vec<f64>>> = defect.then(|| rays.iter().map(|rays| rays.continued.clone()).collect());
-    let state = State {
-        shapes,
-        activity: Activity { wall: 1.15, blood: median(&|rays| rays.blood) / wall, background: median(&|rays| rays.background) / wall, map: map.clone() },
-        sigma_mm: fwhm / FWHM_PER_SIGMA,
-    };
-    let plan = Plan { steps: std::env::var("STEPS").ok().and_then(|s| s.parse().ok()).unwrap_or(12), fits_map: std::env::var("NOMAP").is_err() || defect, fits_width: parameters.refine.psf_fwhm_mm.is_none(), fits_tilt: parameters.refine.base_tilt, sigma_limits_mm: [6.0 / FWHM_PER_SIGMA, 24.0 / FWHM_PER_SIGMA], correlated: 1.0 };
-    let mut priors = Priors::new(held.as_deref(), map, [(fwhm / FWHM_PER_SIGMA).ln(), 0.5]);
-    if parameters.refine.wall_conservation { priors.wall_volume = Some(std::env::var("WALL").ok().and_then(|s| s.parse().ok()).unwrap_or(0.02)); }
-    let solved = fit::fit(&counts, state, &priors, &plan, monitor)?;
-    let m = ModelFit {
-        refined: true,
-        psf: PsfEstimate { fwhm_mm: solved.state.sigma_mm * FWHM_PER_SIGMA, source: PsfSource::Estimated, standard_error_mm: 0.0, at_bound: false, edv_percent_per_mm: 0.0 },
-        residual: Residual { relative: (solved.system.misfit.iter().map(|m| m.squares).sum::<f64>() / solved.system.misfit.iter().map(|m| m.voxels).sum::<f64>()).sqrt() / solved.state.activity.wall, over_noise: 0.0 },
-        uncertainty: None, low_uptake_fraction: low, extrapolated_fraction: 0.0, referee: Referee::default(), steps: solved.steps, converged: solved.converged, gates: vec![],
-    };
-    if parameters.refine.enabled { Ok((solved.state.shapes, m)) } else { Ok((rays.iter().map(|r| r.gradient.clone()).collect(), m)) }
-}
-
-/// Standard deviations in a full width at half maximum: 2√(2 ln 2).
-const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
-
-fn start(mid: &[f64], base_mm: f64) -> Shape {
-    let mut values = Vec::with_capacity(shape::LOCAL);
-    for mid in mid.chunks_exact(basis::HARMONICS) {
-        values.extend_from_slice(mid);
-        values.extend([priors::THICKNESS_MM[0], 0.0, 0.0]);
-    }
-    values.extend([base_mm, 0.0, 0.0]);
-    Shape { values }
-}
-
-/// The counts around the ventricle, each gate scaled to the mean total, as parts of the wall's counts.
-fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64) -> Counts {
-    let grid = study.grid;
-    let frame = &space.frame;
-    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    for (point, reach) in [(DVec3::ZERO, frame.unit_mm.max(frame.apex_mm) + AROUND_MM), (DVec3::Z * frame.base_mm, frame.unit_mm + AROUND_MM)] {
-        let point = frame.grid(point);
-        low = low.min(point - reach);
-        high = high.max(point + reach);
-    }
-    let (from, to) = (grid.fractional_index(low), grid.fractional_index(high));
-    let first: [usize; 3] = std::array::from_fn(|axis| (from[axis].floor().max(0.0) as usize).min(grid.shape[axis] - 1));
-    let end: [usize; 3] = std::array::from_fn(|axis| (to[axis].ceil().max(0.0) as usize + 1).min(grid.shape[axis]).max(first[axis] + 1));
-    let bin: [usize; 3] = std::array::from_fn(|axis| (((BIN * sigma_mm).min(WIDEST_BIN_MM) / grid.spacing_mm[axis]) as usize).clamp(1, end[axis] - first[axis]));
-    let crop = Crop {
-        origin_mm: std::array::from_fn(|axis| (first[axis] as f64 + (bin[axis] - 1) as f64 / 2.0) * grid.spacing_mm[axis]),
-        spacing_mm: std::array::from_fn(|axis| bin[axis] as f64 * grid.spacing_mm[axis]),
-        shape: std::array::from_fn(|axis| (end[axis] - first[axis]) / bin[axis]),
-    };
-    let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
-    let mean = totals.iter().sum::<f64>() / totals.len() as f64;
-    let wall = rays::percentile(rays.iter().map(|rays| rays.wall), 0.5);
-    let members = |voxel: usize| {
-        let [_, ny, nx] = crop.shape;
-        let at = [voxel / (ny * nx), voxel / nx % ny, voxel % nx];
-        let start: [usize; 3] = std::array::from_fn(|axis| first[axis] + at[axis] * bin[axis]);
-        (0..bin[0]).flat_map(move |z| {
-            (0..bin[1]).flat_map(move |y| (0..bin[2]).map(move |x| [start[0] + z, start[1] + y, start[2] + x]))
-        })
-    };
-    let size = bin.iter().product::<usize>() as f64;
-    let gates: Vec<Vec<f32>> = study
-        .gates
-        .iter()
-        .zip(&totals)
-        .map(|(gate, total)| {
-            let scale = mean / total.max(f64::MIN_POSITIVE) / wall / size;
-            (0..crop.voxels())
-                .map(|voxel| (members(voxel).map(|member| f64::from(gate.volume.counts[member])).sum::<f64>() * scale) as f32)
-                .collect()
-        })
-        .collect();
-    let known =
-        (0..crop.voxels()).map(|voxel| members(voxel).all(|member| study.gates.iter().any(|gate| gate.volume.counts[member] > 0.0))).collect();
-    let places = crop
-        .centres_mm()
-        .map(|centre| {
-            let local = frame.local(centre);
-            let (s, phi, r) = frame.bullet(local);
-            VoxelPlace { spot: space.basis.at(s, &Angle::new(phi)), r, z: local.z }
-        })
-        .collect();
-    Counts { crop, space: *space, gates, known, places }
-}

@@ -2,7 +2,7 @@
 //! across the axis; a wall that keeps its volume and a shape that changes smoothly over the cycle.
 
 use super::{
-    basis::{HARMONICS, SPLINES, order},
+    basis::{HARMONICS, MAP_HARMONICS, SPLINES, order},
     exposure::UPTAKE,
     fit::{Plan, SHARED, State, WIDTH},
     rays::roughness,
@@ -10,7 +10,7 @@ use super::{
 };
 
 /// Thickness of the wall: mean and standard deviation in mm (`numerics.md`, §4.4).
-pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 4.0];
+pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 6.0];
 /// Slope of the valve plane: standard deviation in mm at 30 mm from the axis, 7.6 degrees.
 const SLOPE_MM: f64 = 4.0;
 /// Roughness of the mid-wall and of the thickness, an mm² of the penalties below.
@@ -19,7 +19,7 @@ const THICKNESS_BEND: f64 = 60.0;
 const THICKNESS_SHIFT: f64 = 20.0;
 /// Of the uptake map: roughness, and distance from the rays' map.
 const MAP_ROUGHNESS: f64 = 0.5;
-const MAP_SIZE: f64 = 100.0;
+const MAP_SIZE: f64 = 400.0;
 /// How strongly the shape under a defect is held to its surroundings' continuation, and by how much stiffer it is there (the prototype's).
 pub(super) const HELD: f64 = 0.2;
 pub(super) const STIFFER: [f64; 2] = [10.0, 20.0];
@@ -35,7 +35,8 @@ pub(super) struct Priors {
     pub(super) width: [f64; 2],
     /// Relative standard deviation of the wall's volume over the cycle; `None`: not held.
     pub(super) wall_volume: Option<f64>,
-    /// Standard deviation in mm of a coefficient from the mean of the gates around it; `None`: not held.
+    /// Standard deviation in mm of what makes a gate's wall uneven, its harmonics and its valve plane's slope, from the mean of the gates
+    /// before and after; `None`: not held. Mean radius, thickness and the valve plane's height are free: they are the beat.
     pub(super) temporal_mm: Option<f64>,
 }
 
@@ -44,7 +45,7 @@ impl Priors {
         let mut matrix = vec![0.0; LOCAL * LOCAL];
         let mut centre = vec![0.0; LOCAL];
         let [mid_stiffer, thickness_stiffer] = held.map_or([1.0; 2], |_| STIFFER);
-        let rough = roughness(1.0, 0.5);
+        let rough = roughness(HARMONICS, 1.0, 0.5);
         let n = SPLINES * HARMONICS;
         let mid = |index: usize| index / HARMONICS * STRIDE + index % HARMONICS;
         for a in 0..n {
@@ -67,7 +68,7 @@ impl Priors {
                     add(&[(at(i), 1.0), (at(i + 1), -2.0), (at(i + 2), 1.0)], THICKNESS_BEND * thickness_stiffer);
                 }
                 for i in 0..SPLINES {
-                    { let sd = std::env::var("TSD").ok().and_then(|s| s.parse().ok()).unwrap_or(THICKNESS_MM[1]); add(&[(at(i), 1.0)], 1.0 / (sd * sd)); }
+                    add(&[(at(i), 1.0)], 1.0 / (THICKNESS_MM[1] * THICKNESS_MM[1]));
                     centre[at(i)] = THICKNESS_MM[0];
                 }
             } else {
@@ -128,7 +129,7 @@ impl Priors {
         if !plan.fits_map {
             return;
         }
-        let rough = roughness(1.0, 0.3);
+        let rough = roughness(MAP_HARMONICS, 1.0, 0.3);
         let map = &state.activity.map;
         for a in 0..UPTAKE {
             corner[(SHARED + a) * n + SHARED + a] += MAP_SIZE;
@@ -168,7 +169,8 @@ impl LocalPrior<'_> {
             }
         }
         if let Some((around, weight)) = &self.temporal {
-            for (index, (target, value)) in around.iter().zip(values).enumerate() {
+            let held = |index: usize| index > BASE || (index < BASE && ![0, HARMONICS].contains(&(index % STRIDE)));
+            for (index, (target, value)) in around.iter().zip(values).enumerate().filter(|(index, _)| held(*index)) {
                 own[index * LOCAL + index] += weight;
                 side[index] += weight * (target - value);
             }

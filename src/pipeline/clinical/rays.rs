@@ -2,12 +2,15 @@
 //! where it ends at the valves, and how much it takes up. Start, fallback and referee of the model's fit.
 
 use super::{
-    basis::{Angle, Basis, HARMONICS, SPLINES, WHOLE, order},
+    basis::{Angle, Basis, HARMONICS, MAP_HARMONICS, SPLINES, WHOLE, order},
     frame::Frame,
     linear::solve_positive,
     shape::{STRIDE, Shape, Space, THICKNESS_HARMONICS},
 };
-use crate::volume::{Grid, Volume};
+use crate::{
+    study::Study,
+    volume::{Grid, Volume},
+};
 use glam::DVec3;
 use ndarray::Array3;
 use std::f64::consts::FRAC_PI_2;
@@ -112,14 +115,20 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
             low += weight(s);
         }
     }
-    let of_pose: Vec<Option<f64>> = nodes.iter().map(|(s, _)| Some(pose_radius(frame, *s))).collect();
+    let of_pose: Vec<f64> = nodes.iter().map(|(s, _)| pose_radius(frame, *s)).collect();
     let departures: Vec<Option<f64>> = nodes
         .iter()
         .zip(peaks.iter().zip(&of_pose))
-        .map(|((s, _), (&(value, at_mm), of_pose))| (in_wall(*s) && value > WELL * high).then(|| at_mm - of_pose.unwrap_or_default()))
+        .map(|((s, _), (&(value, at_mm), of_pose))| (in_wall(*s) && value > WELL * high).then(|| (at_mm / of_pose - 1.0) * frame.unit_mm))
         .collect();
+    // In proportion to the half-ellipsoid, and as flat as the rays allow: what moved in at the base did so at the unseen apex.
     let departure = smooth(basis, &nodes, &departures, CONTINUATION);
-    let continued = smooth(basis, &nodes, &of_pose, 1e-3).iter().zip(&departure).map(|(a, b)| a + b).collect();
+    let whole: Vec<Option<f64>> = nodes
+        .iter()
+        .zip(&of_pose)
+        .map(|((s, angle), of_pose)| Some(of_pose * (1.0 + basis.at(*s, angle).value(&departure, WHOLE) / frame.unit_mm)))
+        .collect();
+    let continued = smooth(basis, &nodes, &whole, [1e-3, 0.0]);
     let slopes = |sign: f64| -> Vec<Option<f64>> {
         nodes
             .iter()
@@ -192,25 +201,31 @@ fn base_height(space: &Space, nodes: &[(f64, Angle)], peak: &[f64], background: 
     (heights.len() > AROUND / 4).then(|| percentile(heights.into_iter(), 0.5))
 }
 
-/// Roughness allowed against the rays' scatter, and how often outliers are weighed down (the prototype's values).
-const SMOOTHING: f64 = 2.0;
+/// Roughness allowed against the rays' scatter (bend, and slope of the round part), and how often outliers are weighed down (the prototype's values).
+const SMOOTHING: [f64; 2] = [2.0, 0.0];
 const ROUNDS: usize = 3;
 /// Roughness where half of the wall may be missing: a departure from the half-ellipsoid has to be seen on many rays.
-const CONTINUATION: f64 = 20.0;
+const CONTINUATION: [f64; 2] = [20.0, 5.0];
 
 /// A smooth function through values at the nodes where there are any: penalised least squares, robust (Cauchy weights).
-fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], smoothing: f64) -> Vec<f64> {
+fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], [bend, slope]: [f64; 2]) -> Vec<f64> {
     const N: usize = SPLINES * HARMONICS;
     let given: Vec<(usize, f64)> = values.iter().enumerate().filter_map(|(i, value)| value.map(|value| (i, value))).collect();
     let rows: Vec<Vec<(usize, f64)>> = given.iter().map(|&(i, _)| basis.at(nodes[i].0, &nodes[i].1).terms()).collect();
-    let penalty = roughness(1.0, 1.0);
+    let penalty = roughness(HARMONICS, 1.0, 1.0);
     let mut weights = vec![1.0; given.len()];
     let mut solution = vec![0.0; N];
     for _ in 0..ROUNDS {
         let mut matrix = vec![0.0; N * N];
         let mut right = vec![0.0; N];
         for (entry, place) in matrix.iter_mut().zip(&penalty) {
-            *entry = smoothing * place;
+            *entry = bend * place;
+        }
+        for spline in 0..SPLINES - 1 {
+            let (a, b) = (spline * HARMONICS, (spline + 1) * HARMONICS);
+            for (i, j, sign) in [(a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)] {
+                matrix[i * N + j] += slope * sign;
+            }
         }
         for i in 0..N {
             matrix[i * N + i] += 1e-6;
@@ -234,20 +249,20 @@ fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], smoothi
     solution
 }
 
-/// Penalty on roughness, `[N × N]` for `SPLINES × HARMONICS` coefficients: second differences of the round part, first differences and size of
+/// Penalty on roughness, `[N × N]` for `SPLINES × count` coefficients: second differences of the round part, first differences and size of
 /// the harmonics, the more the higher.
-pub(super) fn roughness(round: f64, harmonic: f64) -> Vec<f64> {
-    const N: usize = SPLINES * HARMONICS;
-    let mut matrix = vec![0.0; N * N];
+pub(super) fn roughness(count: usize, round: f64, harmonic: f64) -> Vec<f64> {
+    let n = SPLINES * count;
+    let mut matrix = vec![0.0; n * n];
     let mut add = |terms: &[(usize, f64)]| {
         for &(a, x) in terms {
             for &(b, y) in terms {
-                matrix[a * N + b] += x * y;
+                matrix[a * n + b] += x * y;
             }
         }
     };
-    for h in 0..HARMONICS {
-        let at = |spline: usize| spline * HARMONICS + h;
+    for h in 0..count {
+        let at = |spline: usize| spline * count + h;
         if h == 0 {
             for i in 0..SPLINES - 2 {
                 add(&[(at(i), round), (at(i + 1), -2.0 * round), (at(i + 2), round)]);
@@ -296,7 +311,38 @@ pub(super) fn uptake_map(space: &Space, rays: &[Rays], base_mm: f64) -> Vec<f64>
             (*s < end).then(|| if uptake > NORMAL { 0.0 } else { uptake / TYPICAL - 1.0 })
         })
         .collect();
-    smooth(&space.basis, &nodes, &values, 0.3)
+    let mut map = vec![0.0; SPLINES * MAP_HARMONICS];
+    for (of_map, found) in map.chunks_exact_mut(MAP_HARMONICS).zip(smooth(&space.basis, &nodes, &values, [0.3, 0.0]).chunks_exact(HARMONICS)) {
+        of_map[..HARMONICS].copy_from_slice(found);
+    }
+    map
+}
+
+/// Parts of the wall that counts say little of, 0-1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Unseen {
+    /// With low uptake.
+    pub(super) low: f64,
+    /// Outside the grid or the field of view.
+    pub(super) outside: f64,
+}
+
+/// How much of the wall has low uptake (the median over the gates) or lies where nothing was counted.
+pub(super) fn unseen(study: &Study, space: &Space, rays: &[Rays]) -> Unseen {
+    let low = percentile(rays.iter().map(|rays| rays.low), 0.5);
+    let base_mm = percentile(rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)), 0.5);
+    let end = space.frame.s_of_height(base_mm);
+    let (mut outside, mut all) = (0.0, f64::MIN_POSITIVE);
+    for (s, angle) in places(&space.basis).filter(|(s, _)| *s < end) {
+        let weight = if s < FRAC_PI_2 { s.sin() } else { 1.0 };
+        all += weight;
+        let point_mm = space.frame.point(s, &angle, pose_radius(&space.frame, s));
+        let counted = |voxel: [usize; 3]| study.gates.iter().any(|gate| gate.volume.counts[voxel] > 0.0);
+        if !study.grid.voxel_at(point_mm).is_some_and(counted) {
+            outside += weight;
+        }
+    }
+    Unseen { low: low.min(1.0 - outside / all), outside: outside / all }
 }
 
 /// Cubic convolution (Keys 1981) of a volume; points outside take the nearest face's values.

@@ -184,7 +184,7 @@ fn radius_derivative(surface: Surface, spot: &Spot) -> impl Iterator<Item = (usi
     };
     splines.into_iter().enumerate().flat_map(move |(k, spline)| {
         let start = (first + k) * STRIDE;
-        let mid = harmonics.into_iter().enumerate().map(move |(h, value)| (start + h, spline * value));
+        let mid = harmonics.into_iter().take(HARMONICS).enumerate().map(move |(h, value)| (start + h, spline * value));
         let thickness =
             harmonics.into_iter().take(THICKNESS_HARMONICS).enumerate().map(move |(h, value)| (start + HARMONICS + h, side * spline * value));
         mid.chain(thickness)

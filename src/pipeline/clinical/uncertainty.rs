@@ -1,0 +1,123 @@
+//! What is not known of a result: from the curvature of the fit, the width of the point-spread function among its parameters, and what
+//! phantoms show that the model itself gets wrong.
+
+use super::{
+    Uncertainty,
+    exposure::Activity,
+    fit::{NOISE, Solved, WIDTH},
+    linear::Arrow,
+    shape::{Shape, Space, Volumes},
+};
+
+/// Standard deviations of what the model leaves wrong however good the counts are, relative (ejection fraction: points): what is left on the
+/// phantoms of `docs/accuracy.md` when the fit's own error is taken away.
+const MODEL_EDV: f64 = 0.015;
+const MODEL_ESV: f64 = 0.02;
+const MODEL_EF: f64 = 0.5;
+const MODEL_MASS: f64 = 0.03;
+/// How much more a wall that is not seen adds, a part of it: likewise, from the phantoms with defects.
+const UNSEEN_EDV: f64 = 0.15;
+const UNSEEN_ESV: f64 = 0.30;
+const UNSEEN_EF: f64 = 8.0;
+const UNSEEN_MASS: f64 = 0.30;
+/// Least standard error of an estimated width in mm: what a point-spread function that is not a Gaussian makes of it.
+const MODEL_FWHM_MM: f64 = 0.5;
+
+/// Grams a ml of myocardium, as the report has it.
+const DENSITY: f64 = 1.05;
+
+/// Standard errors, and what hangs on the width.
+pub(super) struct Errors {
+    pub(super) uncertainty: Uncertainty,
+    /// Of the logarithm of the width; 0 where it was given.
+    pub(super) log_width: f64,
+    /// Relative change of the end-diastolic volume with the logarithm of the width, everything else following.
+    pub(super) edv_by_log_width: f64,
+}
+
+/// A quantity's derivative by all parameters: of the gates and of what they share.
+type Gradient = (Vec<Vec<f64>>, Vec<f64>);
+
+/// Standard errors of the volumes; `None` where the counts do not determine the parameters.
+pub(super) fn errors(solved: &Solved, space: &Space, fits_width: bool, unseen: f64) -> Option<Errors> {
+    let arrow = solved.system.arrow()?;
+    let shapes: &[Shape] = &solved.state.shapes;
+    let volumes: Vec<Volumes> = shapes.iter().map(|shape| Volumes::of(shape, space)).collect();
+    let cavity = |gate: &usize| volumes[*gate].ml.endocardial;
+    let (mut largest, mut smallest) = (0, 0);
+    for gate in 1..volumes.len() {
+        if cavity(&gate) > cavity(&largest) {
+            largest = gate;
+        }
+        if cavity(&gate) < cavity(&smallest) {
+            smallest = gate;
+        }
+    }
+    let shared = solved.system.shared;
+    let nothing = || -> Gradient { (shapes.iter().map(|shape| vec![0.0; shape.values.len()]).collect(), vec![0.0; shared]) };
+    let of = |terms: &[(usize, f64)]| -> Gradient {
+        let mut gradient = nothing();
+        for &(gate, by) in terms {
+            for (to, value) in gradient.0[gate].iter_mut().zip(&volumes[gate].gradient.endocardial) {
+                *to += by * value;
+            }
+        }
+        gradient
+    };
+    let (edv, esv) = (cavity(&largest), cavity(&smallest));
+    let scatter = scatter(solved);
+    let fitted = |gradient: &Gradient| (variance(&arrow, gradient) * scatter).max(0.0);
+    let with = |fitted: f64, model: f64, unseen_part: f64| (fitted + model * model + (unseen * unseen_part).powi(2)).sqrt();
+    let edv_gradient = of(&[(largest, 1.0)]);
+    let gated = volumes.len() > 1;
+    let mut wall = nothing();
+    for (to, volumes) in wall.0.iter_mut().zip(&volumes) {
+        for (to, value) in to.iter_mut().zip(volumes.wall_gradient()) {
+            *to += DENSITY * value / shapes.len() as f64;
+        }
+    }
+    let mass = DENSITY * volumes.iter().map(Volumes::wall_ml).sum::<f64>() / volumes.len() as f64;
+    let uncertainty = Uncertainty {
+        edv_ml: with(fitted(&edv_gradient), MODEL_EDV * edv, UNSEEN_EDV * edv),
+        esv_ml: gated.then(|| with(fitted(&of(&[(smallest, 1.0)])), MODEL_ESV * esv, UNSEEN_ESV * esv)),
+        ef_percent: gated.then(|| {
+            let ef = of(&[(smallest, -100.0 / edv), (largest, 100.0 * esv / (edv * edv))]);
+            with(fitted(&ef), MODEL_EF, UNSEEN_EF)
+        }),
+        mass_g: with(fitted(&wall), MODEL_MASS * mass, UNSEEN_MASS * mass),
+    };
+    let (mut log_width, mut edv_by_log_width) = (0.0, 0.0);
+    if fits_width {
+        let mut along = nothing();
+        along.1[WIDTH] = 1.0;
+        arrow.solve(&mut along.0, &mut along.1);
+        let own = along.1[WIDTH].max(f64::MIN_POSITIVE);
+        let fwhm_mm = super::refine::FWHM_PER_SIGMA * solved.state.sigma_mm;
+        log_width = (own * scatter + (MODEL_FWHM_MM / fwhm_mm).powi(2)).sqrt();
+        edv_by_log_width = dot(&edv_gradient, &along) / own / edv.max(f64::MIN_POSITIVE);
+    }
+    let _: &Activity = &solved.state.activity;
+    Some(Errors { uncertainty, log_width, edv_by_log_width })
+}
+
+/// Variance of the residuals over that which the weights assume.
+fn scatter(solved: &Solved) -> f64 {
+    let (mut weighted, mut voxels) = (0.0, f64::MIN_POSITIVE);
+    for misfit in &solved.system.misfit {
+        weighted += misfit.weighted;
+        voxels += misfit.voxels;
+    }
+    let _ = NOISE;
+    weighted * solved.correlated / voxels
+}
+
+fn variance(arrow: &Arrow, gradient: &Gradient) -> f64 {
+    let mut solution = gradient.clone();
+    arrow.solve(&mut solution.0, &mut solution.1);
+    dot(gradient, &solution)
+}
+
+fn dot(a: &Gradient, b: &Gradient) -> f64 {
+    let of_gates: f64 = a.0.iter().zip(&b.0).map(|(a, b)| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>()).sum();
+    of_gates + a.1.iter().zip(&b.1).map(|(x, y)| x * y).sum::<f64>()
+}
