@@ -58,7 +58,7 @@ pub(super) struct Judged {
 
 impl Evidence {
     /// Mean of the perfused parts of wall and rim. A cup that is no ventricle ends half way to where the fitted shell does, all around: it has
-    /// .5 and less. A ventricle with a defect of half its wall has .57 and more, for beside the defect the wall reaches the valve plane.
+    /// .5 and less. A ventricle with a defect of half its wall has .55 and more, for beside the defect the wall reaches the valve plane.
     fn whole(&self) -> f64 {
         f64::midpoint(self.perfused, self.rim)
     }
@@ -181,7 +181,7 @@ fn limits(judged: &Judged) -> [Limit; 8] {
         Limit {
             what: "part of its wall and of its rim at the valve plane that has a wall's counts",
             value: e.whole(),
-            at: 0.535,
+            at: 0.525,
             clear: 0.75,
         },
         Limit { what: "part of its wall in the field of view", value: e.inside, at: 0.75, clear: 0.92 },

@@ -33,7 +33,7 @@ use shell_fit::{Density, ShellFit};
 
 /// A pose whose [`PoseConfidence::score`] is below this should be flagged as uncertain: something measured lies within a seventh of the way
 /// from its limit to a clear ventricle's value, or the counts hardly tell apex from base. Of phantoms only hearts without a perfused apex
-/// and those cut by the grid are below, of the fourteen real studies none (the lowest has .24).
+/// and one in twenty with 53 % of the wall lost are below, of the fourteen real studies none (the lowest has .24).
 pub const POSE_UNCERTAIN: f64 = 0.15;
 
 /// The ventricle's long axis and width, in grid mm.
@@ -53,7 +53,7 @@ pub struct Pose {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PoseConfidence {
     /// 0 (on the edge of being refused) to 1 (as clear as a phantom without noise): the smallest of the distances of what was measured to
-    /// its limit, as part of the way from there to a clear ventricle's value, and of a fifth of a point of flip margin, unless the ends were told.
+    /// its limit, as part of the way from there to a clear ventricle's value, and of the flip margin as part of eight times that under which the ends are alike, unless they were told.
     pub score: f64,
     /// Part of the perfused mid-wall points that are brighter than both sides of the wall, 0-1.
     pub ridge: f64,
@@ -282,8 +282,7 @@ fn conclude(found: &Found, held: &Held, study: &Study) -> Result<(Pose, Vec<Warn
         margin < ALIKE_WITHOUT_TIP && !leader.tip_is_seen() && !flipped.tip_is_seen() && flipped.evidence.behind < leader.evidence.behind
     });
     let (leader, other) = darker.map_or((leader, flipped.as_ref()), |flipped| (flipped, Some(leader)));
-    // Without a tip the margin says little: half a ventricle's wall looks much the same from both ends.
-    if margin >= if leader.tip_is_seen() { ALIKE } else { ALIKE_WITHOUT_TIP } {
+    if margin >= alike(leader) {
         return Ok((pose(leader, held, margin, false), Vec::new()));
     }
     let towards = |judged: &Judged| study.orientation.map_or(0.0, |o| o.direction(judged.fit.shell.to_apex).dot(LEFT_FRONT_FEET));
@@ -297,12 +296,19 @@ fn conclude(found: &Found, held: &Held, study: &Study) -> Result<(Pose, Vec<Warn
     Ok((pose(chosen, held, margin, true), vec![Warning::new("ends_by_orientation", warning)]))
 }
 
+/// The flip margin below which the counts do not tell apex from base. Without a tip the margin says little: half a ventricle's wall looks much
+/// the same from both ends.
+fn alike(judged: &Judged) -> f64 {
+    if judged.tip_is_seen() { ALIKE } else { ALIKE_WITHOUT_TIP }
+}
+
 /// Where the apex points in the patient (LPS).
 const LEFT_FRONT_FEET: DVec3 = DVec3::new(0.577_350_269, -0.577_350_269, -0.577_350_269);
 
 fn pose(judged: &Judged, held: &Held, flip_margin: f64, ends_given: bool) -> Pose {
     let shell = &judged.fit.shell;
-    let sure_of_ends = if ends_given { 1.0 } else { (flip_margin / (4.0 * ALIKE)).clamp(0.0, 1.0) };
+    // Below the margin under which the ends are alike this is under an eighth, which is always uncertain.
+    let sure_of_ends = if ends_given { 1.0 } else { (flip_margin / (8.0 * alike(judged))).clamp(0.0, 1.0) };
     Pose {
         apex_mm: held.apex_mm.unwrap_or(shell.apex_mm()),
         base_mm: held.base_mm.unwrap_or(shell.base_mm),

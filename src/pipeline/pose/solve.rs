@@ -1,6 +1,6 @@
 //! Small dense symmetric systems.
 
-/// Solves A x = b in place by Cholesky's factorisation; `a` holds the lower triangle by rows and is overwritten by its factor. `false` if A
+/// Factors A into L Lᵀ (Cholesky): `a` holds the lower triangle by rows and is overwritten by L. `false` if A
 /// is not positive definite.
 pub(super) fn factor<const N: usize>(a: &mut [[f64; N]; N]) -> bool {
     for j in 0..N {
