@@ -71,10 +71,10 @@ impl Basis {
         let mut values = [1.0, 0.0, 0.0, 0.0];
         for degree in 1..4 {
             let mut saved = 0.0;
-            for j in 0..degree {
+            for (j, value) in values[..degree].iter_mut().enumerate() {
                 let (right, left) = (self.knots[first + 4 + j] - s, s - self.knots[first + 4 + j - degree]);
-                let part = values[j] / (right + left);
-                values[j] = saved + right * part;
+                let part = *value / (right + left);
+                *value = saved + right * part;
                 saved = left * part;
             }
             values[degree] = saved;

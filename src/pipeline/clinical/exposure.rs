@@ -1,6 +1,6 @@
 //! What a camera would count of a wall of given shape and uptake, and how that changes with every parameter.
 //!
-//! The image is the blurred activity I = G ∗ [b + (A·α − b)·1_wall + (c − b)·1_cavity] with background b, wall activity A, its map α
+//! The image is the blurred activity `I = G ∗ [b + (A·α − b)·1_wall + (c − b)·1_cavity]` with background b, wall activity A, its map α
 //! and blood c (`numerics.md`, clinical preset). Nothing is rasterised: wall, cavity, both surfaces and the valve plane are integrated by
 //! Gauss-Legendre and trapezoid rules in bullet coordinates, each node a Gaussian whose variance a voxel's box is added to. Nodes closer
 //! than 1.5 standard deviations integrate a blurred shape to a few parts in ten thousand, so image and derivatives are smooth functions of
