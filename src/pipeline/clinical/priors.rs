@@ -11,6 +11,8 @@ use super::{
 
 /// Thickness of the wall: mean and standard deviation in mm (`numerics.md`, §4.4).
 pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 8.0];
+/// Height of the valve plane about the one that rays show, smoothed over the cycle: standard deviation in mm.
+const BASE_MM: f64 = 4.0;
 /// Slope of the valve plane: standard deviation in mm at 30 mm from the axis, 7.6 degrees.
 const SLOPE_MM: f64 = 4.0;
 /// Roughness of the mid-wall and of the thickness, an mm² of the penalties below.
@@ -26,7 +28,7 @@ pub(super) const STIFFER: [f64; 2] = [10.0, 20.0];
 
 /// Everything that pulls at the parameters besides the counts.
 pub(super) struct Priors {
-    /// Constant part: matrix `[LOCAL × LOCAL]`, and the values it pulls to, one set for all gates or one a gate.
+    /// Constant part: matrix `[LOCAL × LOCAL]`, and the values it pulls to, a set a gate.
     matrix: Vec<f64>,
     centres: Vec<Vec<f64>>,
     /// The map the uptake is held to.
@@ -41,7 +43,7 @@ pub(super) struct Priors {
 }
 
 impl Priors {
-    pub(super) fn new(held: Option<&[Vec<f64>]>, map: Vec<f64>, width: [f64; 2]) -> Self {
+    pub(super) fn new(held: Option<&[Vec<f64>]>, bases_mm: &[f64], map: Vec<f64>, width: [f64; 2]) -> Self {
         let mut matrix = vec![0.0; LOCAL * LOCAL];
         let mut centre = vec![0.0; LOCAL];
         let [mid_stiffer, thickness_stiffer] = held.map_or([1.0; 2], |_| STIFFER);
@@ -80,25 +82,27 @@ impl Priors {
                 }
             }
         }
+        add(&[(BASE, 1.0)], 1.0 / (BASE_MM * BASE_MM));
         for slope in [BASE + 1, BASE + 2] {
             add(&[(slope, 1.0)], 1.0 / (SLOPE_MM * SLOPE_MM));
         }
-        let mut centres = vec![centre];
-        if let Some(held) = held {
+        if held.is_some() {
             for index in 0..n {
                 add(&[(mid(index), 1.0)], HELD);
             }
-            centres = held
-                .iter()
-                .map(|of_gate| {
-                    let mut centre = centres[0].clone();
-                    for (index, value) in of_gate.iter().enumerate() {
-                        centre[mid(index)] = *value;
-                    }
-                    centre
-                })
-                .collect();
         }
+        let centres = bases_mm
+            .iter()
+            .enumerate()
+            .map(|(gate, base_mm)| {
+                let mut centre = centre.clone();
+                centre[BASE] = *base_mm;
+                for (index, value) in held.into_iter().flat_map(|held| held[gate].iter().enumerate()) {
+                    centre[mid(index)] = *value;
+                }
+                centre
+            })
+            .collect();
         Self { matrix, centres, map, width, wall_volume: None, temporal_mm: None }
     }
 
@@ -116,7 +120,7 @@ impl Priors {
             let around = before.iter().zip(after).map(|(a, b)| f64::midpoint(*a, *b)).collect();
             (around, 1.0 / (mm * mm))
         });
-        LocalPrior { constant: self, centre: &self.centres[gate.min(self.centres.len() - 1)], wall, temporal }
+        LocalPrior { constant: self, centre: &self.centres[gate], wall, temporal }
     }
 
     /// What holds what all gates share.

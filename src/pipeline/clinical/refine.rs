@@ -9,7 +9,7 @@ use super::{
     priors::{self, Priors},
     rays::{self, Rays},
     shape::{BASE, LOCAL, SLOPE_AT_MM, Shape, Space, Volumes},
-    thickening,
+    thickening::{self, low_pass},
     uncertainty::{self, Errors},
 };
 use crate::{
@@ -103,7 +103,9 @@ fn guess_fwhm_mm(space: &Space, rays: &[Rays]) -> f64 {
 fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64, defect: bool) -> (State, Priors) {
     let median = |of: &dyn Fn(&Rays) -> f64| rays::percentile(rays.iter().map(of), 0.5);
     let wall = median(&|rays| rays.wall).max(f64::MIN_POSITIVE);
-    let bases: Vec<f64> = rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)).collect();
+    let usual_mm = rays::percentile(rays.iter().map(|rays| rays.base_mm.unwrap_or(space.frame.base_mm)), 0.5);
+    // Where the grid cuts a gate's base off, the others know better than nothing.
+    let bases = low_pass(&rays.iter().map(|rays| rays.base_mm.unwrap_or(usual_mm)).collect::<Vec<_>>());
     let held = defect && chosen.shape_prior;
     let shape = |(rays, base_mm): (&Rays, &f64)| {
         let mid = if held { &rays.continued } else { &rays.mid };
@@ -116,7 +118,7 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
         Shape { values }
     };
     let map =
-        if chosen.uptake_map { rays::uptake_map(space, rays, rays::percentile(bases.iter().copied(), 0.5)) } else { vec![0.0; UPTAKE] };
+        if chosen.uptake_map { rays::uptake_map(space, rays, usual_mm) } else { vec![0.0; UPTAKE] };
     let state = State {
         shapes: rays.iter().zip(&bases).map(shape).collect(),
         activity: Activity {
@@ -128,7 +130,7 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
         sigma_mm,
     };
     let continued: Option<Vec<Vec<f64>>> = held.then(|| rays.iter().map(|rays| rays.continued.clone()).collect());
-    let mut priors = Priors::new(continued.as_deref(), map, [sigma_mm.ln(), WIDTH_PRIOR]);
+    let mut priors = Priors::new(continued.as_deref(), &bases, map, [sigma_mm.ln(), WIDTH_PRIOR]);
     priors.wall_volume = chosen.wall_conservation.then_some(WALL_VOLUME);
     priors.temporal_mm = chosen.temporal_prior.then_some(TEMPORAL_MM);
     (state, priors)

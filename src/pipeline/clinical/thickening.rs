@@ -52,8 +52,8 @@ pub(super) fn cavity_ml(space: &Space, rays: &[Rays], shapes: &[Shape], unit: &[
     Some(volumes.collect())
 }
 
-/// Mean and the first harmonics of a periodic series.
-fn low_pass(series: &[f64]) -> Vec<f64> {
+/// Mean and the first harmonics of a periodic series: the smooth part of a beat.
+pub(super) fn low_pass(series: &[f64]) -> Vec<f64> {
     let n = series.len();
     let kept = CYCLE_HARMONICS.min((n - 1) / 2);
     let term = |k: usize, at: usize, from: usize| (TAU * (k * (at + n - from)) as f64 / n as f64).cos();
