@@ -226,8 +226,12 @@ impl Scene<'_> {
             return camera.excess(point_mm, ((self.activity.wall * uptake - self.activity.background) * volume) as f32);
         }
         let mut carried = [0.0_f32; LANES];
-        for (to, h) in carried.iter_mut().zip(spot.harmonics) {
-            *to = (h * volume) as f32;
+        carried[0] = volume as f32;
+        // At its lower limit the map changes nothing.
+        if uptake > LEAST_UPTAKE {
+            for (to, h) in carried[1..].iter_mut().zip(&spot.harmonics[1..]) {
+                *to = (h * volume) as f32;
+            }
         }
         carried[LIT] = (uptake * volume) as f32;
         camera.volume(point_mm, carried);

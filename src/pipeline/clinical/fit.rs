@@ -40,6 +40,11 @@ const MOST_BLOOD: f64 = 0.7;
 const WIDTH_STEP: f64 = 0.02;
 /// Steps before the residuals' correlation is measured.
 const ROUGH_STEPS: usize = 3;
+/// Parts of the diagonal that are added to it, least, first and most: what the counts hardly determine moves slowly at first, and where a
+/// step made things worse.
+const DAMPING: [f64; 3] = [1e-4, 0.01, 10.0];
+/// A step made things worse when the mean robust misfit grew by more than this: the priors may ask for a little.
+const WORSE: f64 = 1.1;
 /// Steps end when none moves a coefficient by more.
 const REST_MM: f64 = 0.05;
 
@@ -88,19 +93,38 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
     let mut plan = plan.clone();
     let mut steps = 0;
     let mut converged = false;
+    let mut damping = DAMPING[1];
+    let mut best: Option<(State, System)> = None;
     while steps < plan.steps && !converged {
         monitor::check(monitor)?;
         let system = assemble(counts, &state, priors, &plan, monitor)?;
         steps += 1;
-        let Some((gates, shared)) = system.step(if steps <= ROUGH_STEPS { 0.01 } else { 1e-4 }) else { break };
+        match &best {
+            // Beyond what the last step was good for: back, and with a shorter step on.
+            Some((before, of_before)) if system.misfit() > WORSE * of_before.misfit() => {
+                state = before.clone();
+                damping = (damping * 10.0).min(DAMPING[2]);
+            }
+            _ => {
+                damping = if steps <= ROUGH_STEPS { DAMPING[1] } else { (damping * 0.1).max(DAMPING[0]) };
+                best = Some((state.clone(), system));
+            }
+        }
+        let Some((gates, shared)) = best.as_ref().and_then(|(_, system)| system.step(damping)) else { break };
         let longest = advance(&mut state, &gates, &shared, &plan);
-        converged = longest < REST_MM && steps > ROUGH_STEPS;
+        converged = longest < REST_MM && steps > ROUGH_STEPS && damping < DAMPING[1];
         if steps == ROUGH_STEPS {
             plan.correlated = correlated(counts, &state);
+            best = None;
         }
         monitor.advance(steps, plan.steps + 1);
     }
-    let system = assemble(counts, &state, priors, &plan, monitor)?;
+    let mut system = assemble(counts, &state, priors, &plan, monitor)?;
+    if let Some((before, of_before)) = best
+        && system.misfit() > WORSE * of_before.misfit()
+    {
+        (state, system) = (before, of_before);
+    }
     Ok(Solved { state, steps, converged, system, correlated: plan.correlated })
 }
 
@@ -148,14 +172,22 @@ pub(super) struct System {
 /// How far a gate's counts are from the model.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Misfit {
-    /// Sums over the voxels compared: of squared residuals, of weights times squared residuals, of the model's image, and their number.
+    /// Sums over the voxels compared: of squared residuals, of weights times them, of what is left of them robustly, of the
+    /// model's image, and their number.
     pub(super) squares: f64,
     pub(super) weighted: f64,
+    pub(super) robust: f64,
     pub(super) image: f64,
     pub(super) voxels: f64,
 }
 
 impl System {
+    /// Mean robust squared residual.
+    fn misfit(&self) -> f64 {
+        let (robust, voxels) = self.misfit.iter().fold((0.0, 0.0), |(robust, voxels), gate| (robust + gate.robust, voxels + gate.voxels));
+        robust / f64::max(voxels, 1.0)
+    }
+
     /// Takes a shared parameter out of the system.
     fn hold(&mut self, index: usize) {
         for i in 0..self.shared {
@@ -344,6 +376,7 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
         let residual = f64::from(count) - f64::from(exposure.image[voxel]);
         let weight = 1.0 / ((1.0 + (residual / robust).powi(2)) * noise * noise);
         misfit.squares += residual * residual;
+        misfit.robust += residual * residual / (1.0 + (residual / robust).powi(2));
         misfit.weighted += weight * residual * residual;
         misfit.image += f64::from(exposure.image[voxel]);
         misfit.voxels += 1.0;
