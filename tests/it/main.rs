@@ -1,6 +1,7 @@
 //! The one integration-test binary; modules by subject.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, missing_docs)]
 
+mod accuracy;
 mod demo;
 mod hostile;
 mod http;

@@ -43,10 +43,11 @@ const ROUGH_STEPS: usize = 3;
 /// Parts of the diagonal that are added to it, least, first and most: what the counts hardly determine moves slowly at first, and where a
 /// step made things worse.
 const DAMPING: [f64; 3] = [1e-4, 0.01, 10.0];
-/// A step made things worse when the mean robust misfit grew by more than this: the priors may ask for a little.
-const WORSE: f64 = 1.1;
-/// Steps end when none moves a coefficient by more.
-const REST_MM: f64 = 0.05;
+/// A step made things worse when the mean robust misfit grew by more than this: priors ask for a
+/// part of it when correlated residuals lose their weight, steps that run away for more.
+const WORSE: f64 = 1.5;
+/// Steps end when none changes a cavity by more than this part of it: a fifth of the smallest standard errors.
+const REST: f64 = 3e-3;
 
 /// A voxel's centre in bullet coordinates, and its height over the centre.
 #[derive(Debug, Clone, Copy)]
@@ -111,8 +112,10 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
             }
         }
         let Some((gates, shared)) = best.as_ref().and_then(|(_, system)| system.step(damping)) else { break };
-        let longest = advance(&mut state, &gates, &shared, &plan);
-        converged = longest < REST_MM && steps > ROUGH_STEPS && damping < DAMPING[1];
+        let before = cavities_ml(&state, counts);
+        advance(&mut state, &gates, &shared, &plan);
+        let change = before.iter().zip(cavities_ml(&state, counts)).map(|(a, b)| ((b - a) / a).abs()).fold(0.0, f64::max);
+        converged = change < REST && steps > ROUGH_STEPS && damping < DAMPING[1];
         if steps == ROUGH_STEPS {
             plan.correlated = correlated(counts, &state);
             best = None;
@@ -128,17 +131,16 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
     Ok(Solved { state, steps, converged, system, correlated: plan.correlated })
 }
 
-/// Moves the parameters; returns the longest step of a shape in mm.
-fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) -> f64 {
-    let mut longest = 0.0_f64;
+fn cavities_ml(state: &State, counts: &Counts) -> Vec<f64> {
+    state.shapes.iter().map(|shape| Volumes::of(shape, &counts.space).ml.endocardial).collect()
+}
+
+/// Moves the parameters.
+fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) {
     for (shape, step) in state.shapes.iter_mut().zip(gates) {
         for (index, (value, step)) in shape.values.iter_mut().zip(step).enumerate() {
             let limit = if index > BASE { LONGEST_SLOPE } else { LONGEST_MM };
-            let step = step.clamp(-limit, limit);
-            if index <= BASE {
-                longest = longest.max(step.abs());
-            }
-            *value += step;
+            *value += step.clamp(-limit, limit);
         }
     }
     let activity = &mut state.activity;
@@ -148,7 +150,6 @@ fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) -
     if plan.fits_width {
         let [low, high] = plan.sigma_limits_mm;
         let width = state.sigma_mm * shared[WIDTH].clamp(-0.15, 0.15).exp();
-        longest = longest.max(2.0 * (width - state.sigma_mm).abs());
         state.sigma_mm = width.clamp(low, high);
     }
     if plan.fits_map {
@@ -156,7 +157,6 @@ fn advance(state: &mut State, gates: &[Vec<f64>], shared: &[f64], plan: &Plan) -
             *value += step.clamp(-0.2, 0.2);
         }
     }
-    longest
 }
 
 /// The normal equations of a state.

@@ -66,6 +66,7 @@ impl Priors {
             let at = |spline: usize| spline * STRIDE + HARMONICS + h;
             let m = order(h) as f64;
             if h == 0 {
+                add(&[(at(0), 1.0), (at(1), -1.0)], THICKNESS_BEND);
                 for i in 0..SPLINES - 2 {
                     add(&[(at(i), 1.0), (at(i + 1), -2.0), (at(i + 2), 1.0)], THICKNESS_BEND * thickness_stiffer);
                 }

@@ -239,6 +239,9 @@ fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], [bend, 
     solution
 }
 
+/// How much more a slope at the apex counts than a bend elsewhere.
+const APEX: f64 = 5.0;
+
 /// Penalty on roughness, `[N × N]` for `SPLINES × count` coefficients: second differences of the round part, first differences and size of
 /// the harmonics, the more the higher.
 pub(super) fn roughness(count: usize, round: f64, harmonic: f64) -> Vec<f64> {
@@ -254,6 +257,8 @@ pub(super) fn roughness(count: usize, round: f64, harmonic: f64) -> Vec<f64> {
     for h in 0..count {
         let at = |spline: usize| spline * count + h;
         if h == 0 {
+            // Level at the apex, where all directions meet: a slope there is a cone.
+            add(&[(at(0), APEX), (at(1), -APEX)]);
             for i in 0..SPLINES - 2 {
                 add(&[(at(i), round), (at(i + 1), -2.0 * round), (at(i + 2), round)]);
             }

@@ -117,8 +117,7 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
         values.extend([*base_mm, 0.0, 0.0]);
         Shape { values }
     };
-    let map =
-        if chosen.uptake_map { rays::uptake_map(space, rays, usual_mm) } else { vec![0.0; UPTAKE] };
+    let map = if chosen.uptake_map { rays::uptake_map(space, rays, usual_mm) } else { vec![0.0; UPTAKE] };
     let state = State {
         shapes: rays.iter().zip(&bases).map(shape).collect(),
         activity: Activity {
