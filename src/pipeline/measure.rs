@@ -4,6 +4,10 @@ use super::{Evolution, Fit, GateReconstruction, PipelineError, Surface, borders:
 use crate::volume::Grid;
 use glam::DVec3;
 
+/// Density of myocardium in g/ml: 1.053 for blood-perfused rat heart (Vinnakota and Bassingthwaighte, Am J Physiol Heart Circ Physiol
+/// 286:H1742, 2004), 1.05 by the convention of the cardiac imaging societies, which is what other packages multiply with.
+pub const MYOCARDIAL_DENSITY_G_PER_ML: f64 = 1.05;
+
 /// A mesh whose particles missed the border by more than this part has not found it.
 const LEAST_WITHIN_ONE_VOXEL: f64 = 0.5;
 

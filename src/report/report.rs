@@ -23,9 +23,7 @@ use utoipa::ToSchema;
 /// The value of `schema` in every report of this shape.
 pub const SCHEMA: &str = "ventricle.report/1";
 
-/// Density of myocardium in g/ml: 1.053 for blood-perfused rat heart (Vinnakota and Bassingthwaighte, Am J Physiol Heart Circ Physiol
-/// 286:H1742, 2004), 1.05 by the convention of the cardiac imaging societies, which is what other packages multiply with.
-pub const MYOCARDIAL_DENSITY_G_PER_ML: f64 = 1.05;
+pub use crate::pipeline::measure::MYOCARDIAL_DENSITY_G_PER_ML;
 
 /// What was found in a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

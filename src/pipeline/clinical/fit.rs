@@ -111,10 +111,10 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
                 best = Some((state.clone(), system));
             }
         }
-        let Some((gates, shared)) = best.as_ref().and_then(|(_, system)| system.step(damping)) else { break };
-        let before = cavities_ml(&state, counts);
+        let Some((_, system)) = &best else { break };
+        let Some((gates, shared)) = system.step(damping) else { break };
         advance(&mut state, &gates, &shared, &plan);
-        let change = before.iter().zip(cavities_ml(&state, counts)).map(|(a, b)| ((b - a) / a).abs()).fold(0.0, f64::max);
+        let change = system.cavities_ml.iter().zip(cavities_ml(&state, counts)).map(|(a, b)| ((b - a) / a).abs()).fold(0.0, f64::max);
         converged = change < REST && steps > ROUGH_STEPS && damping < DAMPING[1];
         if steps == ROUGH_STEPS {
             plan.correlated = correlated(counts, &state);
@@ -167,6 +167,8 @@ pub(super) struct System {
     pub(super) gate_sides: Vec<Vec<f64>>,
     pub(super) shared_side: Vec<f64>,
     pub(super) misfit: Vec<Misfit>,
+    /// Cavities of the gates in ml.
+    cavities_ml: Vec<f64>,
 }
 
 /// How far a gate's counts are from the model.
@@ -282,7 +284,8 @@ fn assemble(counts: &Counts, state: &State, priors: &Priors, plan: &Plan, monito
         gate_sides.push(side);
     }
     priors.add_shared(state, plan, shared, &mut corner, &mut shared_side);
-    let mut system = System { shared, blocks, corner, gate_sides, shared_side, misfit };
+    let cavities_ml = volumes.iter().map(|volumes| volumes.ml.endocardial).collect();
+    let mut system = System { shared, blocks, corner, gate_sides, shared_side, misfit, cavities_ml };
     if !plan.fits_width {
         system.hold(WIDTH);
     }
@@ -367,16 +370,15 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
     let mut gram = Gram::new(n + 1);
     let mut misfit = Misfit::default();
     let noise = NOISE * (plan.correlated * NOISE_MM3 / crop.spacing_mm.iter().product::<f64>()).sqrt();
-    let robust = ROBUST;
     let mut row = vec![0.0_f32; n + 1];
     for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
         if !counts.known[voxel] || !compared(place, shape) {
             continue;
         }
         let residual = f64::from(count) - f64::from(exposure.image[voxel]);
-        let weight = 1.0 / ((1.0 + (residual / robust).powi(2)) * noise * noise);
+        let weight = 1.0 / ((1.0 + (residual / ROBUST).powi(2)) * noise * noise);
         misfit.squares += residual * residual;
-        misfit.robust += residual * residual / (1.0 + (residual / robust).powi(2));
+        misfit.robust += residual * residual / (1.0 + (residual / ROBUST).powi(2));
         misfit.weighted += weight * residual * residual;
         misfit.image += f64::from(exposure.image[voxel]);
         misfit.voxels += 1.0;

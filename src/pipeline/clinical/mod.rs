@@ -25,7 +25,6 @@ use super::{
 };
 use crate::study::{Study, Warning};
 use basis::Basis;
-
 use frame::Frame;
 use rayon::prelude::*;
 use rays::Rays;
@@ -130,9 +129,8 @@ pub struct GateFit {
 ///
 /// Errors: no left ventricle, marks outside the study, or cancelled.
 pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor) -> Result<Reconstruction, PipelineError> {
-    let (pose, mut warnings) =
+    let (mut pose, mut warnings) =
         observed(monitor, Stage::Localisation, None, || pose::find(study, &parameters.pose, &parameters.region, monitor))?;
-    let mut pose = pose;
     if parameters.pose.apex_mm.is_none() && pose.length_mm() < SHORTEST * pose.radius_mm {
         warnings.push(Warning::new("apex_not_seen", APEX_NOT_SEEN));
         pose.apex_mm = pose.base_mm - pose.to_base() * (USUAL * pose.radius_mm);

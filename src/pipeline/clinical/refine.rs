@@ -48,7 +48,6 @@ pub(super) fn refine(
     monitor: &dyn Monitor,
 ) -> Result<(Vec<Shape>, ModelFit), PipelineError> {
     let unseen = rays::unseen(study, space, rays);
-    let gradient: Vec<Shape> = rays.iter().map(|rays| rays.gradient.clone()).collect();
     let guess_mm = guess_fwhm_mm(space, rays);
     let given = chosen.psf_fwhm_mm;
     if !chosen.enabled {
@@ -71,7 +70,7 @@ pub(super) fn refine(
             converged: true,
             gates: Vec::new(),
         };
-        return Ok((gradient, model));
+        return Ok((rays.iter().map(|rays| rays.gradient.clone()).collect(), model));
     }
     let counts = gather(study, space, rays, given.unwrap_or(guess_mm) / FWHM_PER_SIGMA);
     let widest_mm = study.grid.spacing_mm.iter().copied().fold(0.0, f64::max) * FWHM_LIMIT_VOXELS;

@@ -8,6 +8,7 @@ use super::{
     refine::FWHM_PER_SIGMA,
     shape::{Shape, Space, Volumes},
 };
+use crate::pipeline::measure::MYOCARDIAL_DENSITY_G_PER_ML;
 
 /// Standard deviations of what the model leaves wrong however good the counts are, relative (ejection fraction: points): what is left on the
 /// phantoms of `docs/accuracy.md` when the fit's own error is taken away.
@@ -23,9 +24,6 @@ const UNSEEN_MASS: f64 = 0.35;
 /// What a point-spread function that is not one Gaussian makes of the estimated width, in mm: tails and widths that change over the field
 /// move it by 0.4 ± 0.4 on phantoms.
 const MODEL_FWHM_MM: f64 = 0.25;
-
-/// Grams a ml of myocardium, as the report has it.
-const DENSITY: f64 = 1.05;
 
 /// Standard errors, and what hangs on the width.
 pub(super) struct Errors {
@@ -85,10 +83,10 @@ pub(super) fn errors(solved: &Solved, space: &Space, fits_width: bool, unseen: f
     let mut wall = nothing();
     for (to, volumes) in wall.0.iter_mut().zip(&volumes) {
         for (to, value) in to.iter_mut().zip(volumes.wall_gradient()) {
-            *to += DENSITY * value / shapes.len() as f64;
+            *to += MYOCARDIAL_DENSITY_G_PER_ML * value / shapes.len() as f64;
         }
     }
-    let mass = DENSITY * volumes.iter().map(Volumes::wall_ml).sum::<f64>() / volumes.len() as f64;
+    let mass = MYOCARDIAL_DENSITY_G_PER_ML * volumes.iter().map(Volumes::wall_ml).sum::<f64>() / volumes.len() as f64;
     let uncertainty = Uncertainty {
         edv_ml: with(fitted(&edv_gradient), MODEL_EDV * edv, UNSEEN_EDV * edv),
         esv_ml: gated.then(|| with(fitted(&of(&[(smallest, 1.0)])), MODEL_ESV * esv, UNSEEN_ESV * esv)),
