@@ -310,9 +310,9 @@ struct Camera<'a> {
     columns: usize,
     image: Vec<f32>,
     jacobian: Vec<f32>,
-    /// Of the ring at hand, `[voxels × …]`: surface harmonics; wall harmonics and uptake.
-    of_surface: Vec<f32>,
-    of_wall: Vec<f32>,
+    /// Of the ring at hand, `[voxels]`: surface harmonics; wall harmonics and uptake.
+    of_surface: Vec<[f32; STRIDE]>,
+    of_wall: Vec<[f32; LANES]>,
     /// Of all rings, `[voxels]`: wall with uptake, wall, cavity.
     lit: Vec<f32>,
     wall: Vec<f32>,
@@ -342,8 +342,8 @@ impl<'a> Camera<'a> {
             columns,
             image: vec![0.0; voxels],
             jacobian: vec![0.0; derived * columns],
-            of_surface: vec![0.0; derived * STRIDE],
-            of_wall: vec![0.0; derived * LANES],
+            of_surface: vec![[0.0; STRIDE]; derived],
+            of_wall: vec![[0.0; LANES]; derived],
             lit: vec![0.0; derived],
             wall: vec![0.0; derived],
             cavity: vec![0.0; derived],
@@ -385,7 +385,7 @@ impl<'a> Camera<'a> {
 
     fn volume(&mut self, point_mm: DVec3, carried: [f32; LANES]) {
         self.rows(point_mm, |camera, start, weight, along| {
-            for (lanes, value) in camera.of_wall[LANES * start..].chunks_exact_mut(LANES).zip(along) {
+            for (lanes, value) in camera.of_wall[start..].iter_mut().zip(along) {
                 let weight = weight * value;
                 for (to, what) in lanes.iter_mut().zip(carried) {
                     *to += weight * what;
@@ -410,7 +410,7 @@ impl<'a> Camera<'a> {
 
     fn surface(&mut self, point_mm: DVec3, carried: [f32; STRIDE]) {
         self.rows(point_mm, |camera, start, weight, along| {
-            for (eight, value) in camera.of_surface[STRIDE * start..].chunks_exact_mut(STRIDE).zip(along) {
+            for (eight, value) in camera.of_surface[start..].iter_mut().zip(along) {
                 let weight = weight * value;
                 for (to, what) in eight.iter_mut().zip(carried) {
                     *to += weight * what;
@@ -446,25 +446,20 @@ impl<'a> Camera<'a> {
                 let start = (z * ny + y) * nx;
                 for voxel in start + x0..start + x1 {
                     let row = &mut self.jacobian[voxel * self.columns..][..self.columns];
-                    let eight = &mut self.of_surface[STRIDE * voxel..][..STRIDE];
-                    for (k, spline) in splines.iter().enumerate() {
-                        for (to, what) in row[(first + k) * STRIDE..][..STRIDE].iter_mut().zip(eight.iter()) {
-                            *to += spline * what;
-                        }
+                    let surface = std::mem::replace(&mut self.of_surface[voxel], [0.0; STRIDE]);
+                    let wall = std::mem::replace(&mut self.of_wall[voxel], [0.0; LANES]);
+                    let (strides, _) = row[first * STRIDE..].as_chunks_mut::<STRIDE>();
+                    for (to, spline) in strides.iter_mut().zip(splines) {
+                        add_scaled(to, &surface, spline);
                     }
-                    eight.fill(0.0);
-                    let eight = &mut self.of_wall[LANES * voxel..][..LANES];
                     if mapped {
-                        for (k, spline) in splines.iter().enumerate() {
-                            let by = spline * activity;
-                            for (to, what) in row[MAP + (first + k) * MAP_HARMONICS..][..MAP_HARMONICS].iter_mut().zip(eight.iter()) {
-                                *to += by * what;
-                            }
+                        let (strides, _) = row[MAP + first * MAP_HARMONICS..].as_chunks_mut::<MAP_HARMONICS>();
+                        for (to, spline) in strides.iter_mut().zip(splines) {
+                            add_scaled(to, &harmonics_of(&wall), spline * activity);
                         }
                     }
-                    self.lit[voxel] += eight[LIT];
-                    self.wall[voxel] += eight[0];
-                    eight.fill(0.0);
+                    self.lit[voxel] += wall[LIT];
+                    self.wall[voxel] += wall[0];
                 }
             }
         }
@@ -487,6 +482,17 @@ impl<'a> Camera<'a> {
         }
         Exposure { image: self.image, jacobian: self.jacobian }
     }
+}
+
+fn add_scaled<const N: usize>(to: &mut [f32; N], what: &[f32; N], by: f32) {
+    for (to, what) in to.iter_mut().zip(what) {
+        *to += by * what;
+    }
+}
+
+/// What a node of the wall carries but for its uptake.
+fn harmonics_of(wall: &[f32; LANES]) -> [f32; MAP_HARMONICS] {
+    std::array::from_fn(|h| wall[h])
 }
 
 /// Of the values a node of the wall carries, the one that its uptake is in; the harmonics of the map come before.

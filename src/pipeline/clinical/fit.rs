@@ -370,7 +370,7 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
     let mut gram = Gram::new(n + 1);
     let mut misfit = Misfit::default();
     let noise = NOISE * (plan.correlated * NOISE_MM3 / crop.spacing_mm.iter().product::<f64>()).sqrt();
-    let mut row = vec![0.0_f32; n + 1];
+    let mut row = vec![0.0_f32; (n + 1).next_multiple_of(TILE)];
     for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
         if !counts.known[voxel] || !compared(place, shape) {
             continue;
@@ -412,9 +412,11 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan) -> N
 /// Sum of the outer products of rows, lower triangle: single precision within a batch of rows, double between batches.
 struct Gram {
     n: usize,
-    padded: usize,
-    batch: Vec<f32>,
-    rows: usize,
+    /// Tiles of a row.
+    tiles: usize,
+    /// `[rows × tiles]`.
+    batch: Vec<Tile>,
+    /// `[tiles · TILE × tiles · TILE]`.
     sum: Vec<f64>,
 }
 
@@ -422,47 +424,56 @@ struct Gram {
 const BATCH: usize = 64;
 /// Side of the tiles a batch is multiplied in.
 const TILE: usize = 8;
+type Tile = [f32; TILE];
 
 impl Gram {
     fn new(n: usize) -> Self {
-        let padded = n.div_ceil(TILE) * TILE;
-        Self { n, padded, batch: vec![0.0; BATCH * padded], rows: 0, sum: vec![0.0; padded * padded] }
+        let tiles = n.div_ceil(TILE);
+        Self { n, tiles, batch: Vec::with_capacity(BATCH * tiles), sum: vec![0.0; (tiles * TILE).pow(2)] }
     }
 
+    /// Adds a row, filled up with zeros to whole tiles.
     fn push(&mut self, row: &[f32]) {
-        self.batch[self.rows * self.padded..][..self.n].copy_from_slice(row);
-        self.rows += 1;
-        if self.rows == BATCH {
+        self.batch.extend_from_slice(row.as_chunks().0);
+        if self.batch.len() == BATCH * self.tiles {
             self.flush();
         }
     }
 
     fn flush(&mut self) {
-        for a in (0..self.padded).step_by(TILE) {
-            for b in (0..=a).step_by(TILE) {
-                let mut tile = [[0.0_f32; TILE]; TILE];
-                for row in self.batch[..self.rows * self.padded].chunks_exact(self.padded) {
-                    let (left, right) = (&row[a..a + TILE], &row[b..b + TILE]);
-                    for (line, &x) in tile.iter_mut().zip(left) {
-                        for (to, y) in line.iter_mut().zip(right) {
-                            *to += x * y;
-                        }
-                    }
-                }
-                for (i, line) in tile.iter().enumerate() {
-                    for (to, &value) in self.sum[(a + i) * self.padded + b..][..TILE].iter_mut().zip(line) {
-                        *to += f64::from(value);
-                    }
-                }
-            }
-        }
-        self.rows = 0;
+        let Self { tiles, batch, sum, .. } = self;
+        add_outer_products(batch, *tiles, sum);
+        batch.clear();
     }
 
     /// `[n × n]`, lower triangle.
     fn finish(mut self) -> Vec<f64> {
         self.flush();
-        (0..self.n).flat_map(|i| self.sum[i * self.padded..][..self.n].to_vec()).collect()
+        (0..self.n).flat_map(|i| self.sum[i * self.tiles * TILE..][..self.n].to_vec()).collect()
+    }
+}
+
+/// Adds the lower triangle of `batchᵀ · batch`, tile by tile. Compiled for the widest instructions of the machine at hand; an entry is always
+/// the sum in the order of the rows, multiplied and added in two steps, so that all machines have the same.
+#[inline(always)]
+fn add_outer_products(batch: &[Tile], tiles: usize, sum: &mut [f64]) {
+    for a in 0..tiles {
+        for b in 0..=a {
+            let mut products = [[0.0_f32; TILE]; TILE];
+            for row in batch.chunks_exact(tiles) {
+                let (left, right) = (row[a], row[b]);
+                for i in 0..TILE {
+                    for j in 0..TILE {
+                        products[i][j] += left[i] * right[j];
+                    }
+                }
+            }
+            for (i, line) in products.iter().enumerate() {
+                for (to, &value) in sum[((a * TILE + i) * tiles + b) * TILE..][..TILE].iter_mut().zip(line) {
+                    *to += f64::from(value);
+                }
+            }
+        }
     }
 }
 
