@@ -16,8 +16,9 @@ const AROUND_MM: f64 = 30.0;
 /// Voxels are binned up to this many standard deviations of the point-spread function: at half the sampling rate, 20 % of a blurred
 /// shape's amplitude is left and less of its noise's information on it.
 const BIN: f64 = 1.75;
-/// And no wider than this in mm: about two thirds of a wall.
-const WIDEST_BIN_MM: f64 = 6.5;
+/// And up to the volume of a cube whose side is so many standard deviations, and no longer than this in mm: two thirds of a wall.
+const CUBE: f64 = 1.1;
+const LARGEST_CUBE_MM: f64 = 6.5;
 
 /// What is fitted to.
 pub(super) struct Counts {
@@ -35,6 +36,25 @@ pub(super) struct Counts {
     pub(super) unit: Vec<f64>,
 }
 
+/// How many voxels of a box are binned along each axis: one more at a time where the bin is shortest, as long as it may grow.
+fn binning(spacing_mm: [f64; 3], sigma_mm: f64, shape: [usize; 3]) -> [usize; 3] {
+    let largest_mm3 = (CUBE * sigma_mm).min(LARGEST_CUBE_MM).powi(3);
+    let mut bin = [1; 3];
+    loop {
+        let length = |axis: usize, more: usize| (bin[axis] + more) as f64 * spacing_mm[axis];
+        let volume_mm3: f64 = (0..3).map(|axis| length(axis, 0)).product();
+        let may_grow = |axis: &usize| {
+            let grown = length(*axis, 1);
+            let larger_mm3 = volume_mm3 * grown / length(*axis, 0);
+            bin[*axis] < shape[*axis] && grown <= BIN * sigma_mm && larger_mm3 <= largest_mm3
+        };
+        match (0..3).filter(may_grow).min_by(|a, b| length(*a, 1).total_cmp(&length(*b, 1))) {
+            Some(axis) => bin[axis] += 1,
+            None => return bin,
+        }
+    }
+}
+
 /// The counts around the ventricle, each gate scaled to the mean total, as parts of the wall's counts.
 pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64) -> Counts {
     let grid = study.grid;
@@ -50,9 +70,7 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
     let (from, to) = (grid.fractional_index(low), grid.fractional_index(high));
     let first: [usize; 3] = std::array::from_fn(|axis| (from[axis].floor().max(0.0) as usize).min(grid.shape[axis] - 1));
     let end: [usize; 3] = std::array::from_fn(|axis| (to[axis].ceil().max(0.0) as usize + 1).min(grid.shape[axis]).max(first[axis] + 1));
-    let bin: [usize; 3] = std::array::from_fn(|axis| {
-        (((BIN * sigma_mm).min(WIDEST_BIN_MM) / grid.spacing_mm[axis]) as usize).clamp(1, end[axis] - first[axis])
-    });
+    let bin = binning(grid.spacing_mm, sigma_mm, std::array::from_fn(|axis| end[axis] - first[axis]));
     let crop = Crop {
         origin_mm: std::array::from_fn(|axis| (first[axis] as f64 + (bin[axis] - 1) as f64 / 2.0) * grid.spacing_mm[axis]),
         spacing_mm: std::array::from_fn(|axis| bin[axis] as f64 * grid.spacing_mm[axis]),
@@ -93,4 +111,20 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
     let unit: Vec<f64> = totals.iter().map(|total| wall * total / mean.max(f64::MIN_POSITIVE)).collect();
     let noise = unit.iter().map(|unit| 1.0 / (unit * size).max(f64::MIN_POSITIVE)).collect();
     Counts { crop, space: *space, gates, known, places, noise, unit }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::binning;
+
+    #[test]
+    fn bins_are_about_cubes_and_no_wider_than_the_blur() {
+        let large = [100; 3];
+        assert_eq!(binning([6.4; 3], 5.0, large), [1, 1, 1], "two would be wider than 8.75 mm");
+        assert_eq!(binning([4.0; 3], 5.0, large), [2, 2, 1], "128 mm³; 166 may be");
+        assert_eq!(binning([2.0, 2.0, 2.0], 5.0, large), [3, 3, 2], "144 mm³");
+        assert_eq!(binning([4.0; 3], 2.0, large), [1, 1, 1], "a sharp image is not binned");
+        assert_eq!(binning([3.2; 3], 8.0, large), [2, 2, 2], "262 of 275 mm³, the most");
+        assert_eq!(binning([2.0, 2.0, 2.0], 5.0, [1, 2, 100]), [1, 2, 4], "the box ends, then the blur");
+    }
 }

@@ -82,15 +82,16 @@ pub(super) enum Want {
     Derivatives(usize),
 }
 
-/// The image of a gate for a point-spread function of `sigma_mm`.
-pub(super) fn expose(crop: &Crop, space: &Space, shape: &Shape, activity: &Activity, sigma_mm: f64, want: Want) -> Exposure {
+/// The image of a gate for a point-spread function of `sigma_mm`, integrated by rules that were made for about this shape and width: the same
+/// rules make it a smooth function of both.
+pub(super) fn expose(crop: &Crop, space: &Space, shape: &Shape, activity: &Activity, sigma_mm: f64, rules: &Rules, want: Want) -> Exposure {
     let columns = match want {
         Want::Image => 0,
         Want::Derivatives(columns) => columns,
     };
     let mut camera = Camera::new(crop, sigma_mm, columns);
     let scene = Scene { space, shape, activity };
-    scene.show(&mut camera);
+    scene.show(&mut camera, rules);
     camera.finish(activity)
 }
 
@@ -102,7 +103,8 @@ struct Scene<'a> {
 }
 
 /// How finely a scene is integrated.
-struct Rules {
+#[derive(Debug, Clone)]
+pub(super) struct Rules {
     angles: Vec<Angle>,
     cap: Vec<(f64, f64)>,
     cylinder: Vec<(f64, f64)>,
@@ -111,7 +113,9 @@ struct Rules {
 }
 
 impl Rules {
-    fn of(shape: &Shape, space: &Space, sigma: f64) -> Self {
+    /// For shapes like this one, blurred this much.
+    pub(super) fn of(shape: &Shape, space: &Space, crop: &Crop, sigma_mm: f64) -> Self {
+        let sigma = crop.spacing_mm.iter().map(|spacing| with_box(sigma_mm, *spacing)).fold(f64::INFINITY, f64::min);
         let frame = &space.frame;
         let spots: Vec<Spot> = (0..8).map(|k| space.basis.at(0.3 * f64::from(k), &Angle::new(0.0))).collect();
         let widest = spots.iter().map(|spot| shape.radii(spot).epicardial).fold(20.0, f64::max);
@@ -130,26 +134,25 @@ impl Rules {
 }
 
 impl Scene<'_> {
-    fn show(&self, camera: &mut Camera<'_>) {
+    fn show(&self, camera: &mut Camera<'_>, rules: &Rules) {
         let frame = &self.space.frame;
-        let rules = Rules::of(self.shape, self.space, camera.narrowest_mm);
         let around = TAU / rules.angles.len() as f64;
         for &(at, weight) in &rules.cap {
             let s = at * FRAC_PI_2;
             for angle in &rules.angles {
-                self.cap_node(camera, &rules, s, angle, weight * FRAC_PI_2 * around);
+                self.cap_node(camera, rules, s, angle, weight * FRAC_PI_2 * around);
             }
             camera.end_ring(&self.space.basis.splines(s), self.activity.wall);
         }
         for &(at, weight) in &rules.cylinder {
             for angle in &rules.angles {
-                self.cylinder_node(camera, &rules, at, angle, weight * around);
+                self.cylinder_node(camera, rules, at, angle, weight * around);
             }
             camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())), self.activity.wall);
         }
         if camera.columns > 0 {
             for angle in &rules.angles {
-                self.base_node(camera, &rules, angle, around);
+                self.base_node(camera, rules, angle, around);
             }
         }
     }
@@ -272,6 +275,12 @@ struct AxisBlur {
     sigma_mm: f64,
 }
 
+/// Standard deviation of point-spread function and voxel box together. The box has variance h²/12; its shape beyond that is lost in the blur
+/// (kurtosis 1.03 of 3 at the paper's grid).
+fn with_box(sigma_mm: f64, spacing_mm: f64) -> f64 {
+    (sigma_mm * sigma_mm + spacing_mm * spacing_mm / 12.0).sqrt()
+}
+
 /// Most voxels a cut-off Gaussian reaches along an axis; grids finer than that are cut shorter.
 const WIDEST: usize = 64;
 
@@ -306,7 +315,6 @@ impl AxisBlur {
 struct Camera<'a> {
     crop: &'a Crop,
     axes: [AxisBlur; 3],
-    narrowest_mm: f64,
     columns: usize,
     image: Vec<f32>,
     jacobian: Vec<f32>,
@@ -325,19 +333,12 @@ impl<'a> Camera<'a> {
     fn new(crop: &'a Crop, sigma_mm: f64, columns: usize) -> Self {
         let axes: [AxisBlur; 3] = std::array::from_fn(|axis| {
             let spacing_mm = crop.spacing_mm[axis];
-            AxisBlur {
-                spacing_mm,
-                origin_mm: crop.origin_mm[axis],
-                voxels: crop.shape[axis],
-                // The box of a voxel has variance h²/12; its shape beyond that is lost in the blur (kurtosis 1.03 of 3 at the paper's grid).
-                sigma_mm: (sigma_mm * sigma_mm + spacing_mm * spacing_mm / 12.0).sqrt(),
-            }
+            AxisBlur { spacing_mm, origin_mm: crop.origin_mm[axis], voxels: crop.shape[axis], sigma_mm: with_box(sigma_mm, spacing_mm) }
         });
         let voxels = crop.voxels();
         let derived = if columns > 0 { voxels } else { 0 };
         Self {
             crop,
-            narrowest_mm: axes.iter().map(|axis| axis.sigma_mm).fold(f64::INFINITY, f64::min),
             axes,
             columns,
             image: vec![0.0; voxels],

@@ -6,13 +6,16 @@ mod counts;
 mod exposure;
 mod fit;
 mod frame;
+mod gram;
 mod linear;
 mod priors;
 mod quadrature;
 mod rays;
 mod refine;
 mod shape;
+mod step;
 mod surfaces;
+mod system;
 mod thickening;
 mod uncertainty;
 

@@ -4,13 +4,14 @@
 use super::{
     basis::{HARMONICS, MAP_HARMONICS, SPLINES, order},
     exposure::UPTAKE,
-    fit::{Plan, SHARED, State, WIDTH},
+    fit::{Plan, State},
     rays::roughness,
     shape::{BASE, LOCAL, STRIDE, THICKNESS_HARMONICS, Volumes},
+    system::{SHARED, WIDTH},
 };
 
 /// Thickness of the wall: mean and standard deviation in mm (`numerics.md`, §4.4).
-pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 8.0];
+pub(super) const THICKNESS_MM: [f64; 2] = [10.0, 4.0];
 /// Height of the valve plane about the one that rays show, smoothed over the cycle: standard deviation in mm.
 const BASE_MM: f64 = 4.0;
 /// Slope of the valve plane: standard deviation in mm at 30 mm from the axis, 7.6 degrees.
@@ -22,6 +23,8 @@ const THICKNESS_SHIFT: f64 = 20.0;
 /// Of the uptake map: roughness, and distance from the rays' map.
 const MAP_ROUGHNESS: f64 = 0.5;
 const MAP_SIZE: f64 = 400.0;
+/// How strongly the map's mean is held to the rays': wall activity times map is one number, and it is the activity that tells it.
+const MAP_MEAN: f64 = 1e6;
 /// How strongly the shape under a defect is held to its surroundings' continuation, and by how much stiffer it is there (the prototype's).
 pub(super) const HELD: f64 = 0.2;
 pub(super) const STIFFER: [f64; 2] = [10.0, 20.0];
@@ -108,42 +111,56 @@ impl Priors {
     }
 
     /// What holds one gate.
-    pub(super) fn of_gate(&self, gate: usize, state: &State, volumes: &[Volumes]) -> LocalPrior<'_> {
+    pub(super) fn of_gate<'a>(&'a self, gate: usize, state: &'a State, volumes: &[Volumes]) -> LocalPrior<'a> {
         let gates = state.shapes.len();
         let wall = self.wall_volume.filter(|_| gates > 1).map(|relative| {
-            let mean_ml = volumes.iter().map(Volumes::wall_ml).sum::<f64>() / gates as f64;
-            let off_ml = mean_ml - volumes[gate].wall_ml();
-            (volumes[gate].wall_gradient(), off_ml, 1.0 / (relative * mean_ml).powi(2))
+            let wall_ml = volumes[gate].wall_ml();
+            let gradient = volumes[gate].wall_gradient().into_iter().map(|by| by / wall_ml).collect();
+            (gradient, state.log_wall_ml - wall_ml.ln(), 1.0 / (relative * relative))
         });
         let temporal = self.temporal_mm.filter(|_| gates > 3).map(|mm| {
-            let at = |offset: usize| &state.shapes[(gate + offset) % gates].values;
-            let (before, after) = (at(gates - 1), at(1));
-            let around = before.iter().zip(after).map(|(a, b)| f64::midpoint(*a, *b)).collect();
-            (around, 1.0 / (mm * mm))
+            let at = |offset: usize| state.shapes[(gate + offset) % gates].values.as_slice();
+            ([at(gates - 1), at(1)], 1.0 / (mm * mm))
         });
         LocalPrior { constant: self, centre: &self.centres[gate], wall, temporal }
     }
 
-    /// What holds what all gates share.
-    pub(super) fn add_shared(&self, state: &State, plan: &Plan, n: usize, corner: &mut [f64], side: &mut [f64]) {
+    /// What holds what all gates share; returns half the squared standard deviations off.
+    pub(super) fn add_shared(&self, state: &State, plan: &Plan, n: usize, corner: &mut [f64], side: &mut [f64]) -> f64 {
+        let mut energy = 0.0;
         if plan.fits_width {
             let [mean, deviation] = self.width;
+            let off = mean - state.sigma_mm.ln();
             corner[WIDTH * n + WIDTH] += 1.0 / (deviation * deviation);
-            side[WIDTH] += (mean - state.sigma_mm.ln()) / (deviation * deviation);
+            side[WIDTH] += off / (deviation * deviation);
+            energy += 0.5 * (off / deviation).powi(2);
         }
         if !plan.fits_map {
-            return;
+            return energy;
         }
         let rough = roughness(MAP_HARMONICS, 1.0, 0.3);
         let map = &state.activity.map;
+        let constants = || (0..UPTAKE).step_by(MAP_HARMONICS);
+        let mean_off = constants().map(|a| self.map[a] - map[a]).sum::<f64>() / SPLINES as f64;
+        let weight = MAP_MEAN / SPLINES as f64;
+        for a in constants() {
+            side[SHARED + a] += weight * mean_off;
+            for b in constants() {
+                corner[(SHARED + a) * n + SHARED + b] += weight / SPLINES as f64;
+            }
+        }
+        energy += 0.5 * MAP_MEAN * mean_off * mean_off;
         for a in 0..UPTAKE {
             corner[(SHARED + a) * n + SHARED + a] += MAP_SIZE;
             side[SHARED + a] += MAP_SIZE * (self.map[a] - map[a]);
+            energy += 0.5 * MAP_SIZE * (self.map[a] - map[a]).powi(2);
             for b in 0..UPTAKE {
                 corner[(SHARED + a) * n + SHARED + b] += MAP_ROUGHNESS * rough[a * UPTAKE + b];
                 side[SHARED + a] -= MAP_ROUGHNESS * rough[a * UPTAKE + b] * map[b];
+                energy += 0.5 * MAP_ROUGHNESS * rough[a * UPTAKE + b] * map[a] * map[b];
             }
         }
+        energy
     }
 }
 
@@ -151,34 +168,44 @@ impl Priors {
 pub(super) struct LocalPrior<'a> {
     constant: &'a Priors,
     centre: &'a [f64],
-    /// Gradient of the wall's volume, how much is missing to the mean, weight.
-    wall: Option<(Vec<f64>, f64, f64)>,
-    temporal: Option<(Vec<f64>, f64)>,
+    /// Gradient of the logarithm of the wall's volume, what is missing to the common one, weight.
+    pub(super) wall: Option<(Vec<f64>, f64, f64)>,
+    /// The gates before and after, weight.
+    temporal: Option<([&'a [f64]; 2], f64)>,
 }
 
 impl LocalPrior<'_> {
-    pub(super) fn add(&self, values: &[f64], own: &mut [f64], side: &mut [f64]) {
+    /// Adds to a gate's own part of the normal equations; returns half the squared standard deviations off.
+    pub(super) fn add(&self, values: &[f64], own: &mut [f64], side: &mut [f64]) -> f64 {
+        let mut energy = 0.0;
         let off: Vec<f64> = self.centre.iter().zip(values).map(|(centre, value)| centre - value).collect();
         for (row, (line, side)) in self.constant.matrix.chunks_exact(LOCAL).zip(side.iter_mut()).enumerate() {
             for (entry, own) in line.iter().zip(&mut own[row * LOCAL..][..LOCAL]) {
                 *own += entry;
             }
-            *side += line.iter().zip(&off).map(|(a, b)| a * b).sum::<f64>();
+            let pull = line.iter().zip(&off).map(|(a, b)| a * b).sum::<f64>();
+            *side += pull;
+            energy += 0.5 * pull * off[row];
         }
-        if let Some((gradient, off_ml, weight)) = &self.wall {
+        if let Some((gradient, off, weight)) = &self.wall {
             for (a, x) in gradient.iter().enumerate() {
-                side[a] += weight * x * off_ml;
+                side[a] += weight * x * off;
                 for (b, y) in gradient.iter().enumerate() {
                     own[a * LOCAL + b] += weight * x * y;
                 }
             }
+            energy += 0.5 * weight * off * off;
         }
-        if let Some((around, weight)) = &self.temporal {
+        if let Some(([before, after], weight)) = self.temporal {
             let held = |index: usize| index > BASE || (index < BASE && ![0, HARMONICS].contains(&(index % STRIDE)));
-            for (index, (target, value)) in around.iter().zip(values).enumerate().filter(|(index, _)| held(*index)) {
+            for index in (0..LOCAL).filter(|index| held(*index)) {
+                let (to_before, to_after) = (before[index] - values[index], after[index] - values[index]);
                 own[index * LOCAL + index] += weight;
-                side[index] += weight * (target - value);
+                side[index] += weight * 0.5 * (to_before + to_after);
+                // Each of the two stands for half of what both gates are apart.
+                energy += 0.125 * weight * (to_before * to_before + to_after * to_after);
             }
         }
+        energy
     }
 }

@@ -5,10 +5,11 @@ use super::{
     basis::{Angle, HARMONICS},
     counts::{Counts, gather},
     exposure::{Activity, UPTAKE},
-    fit::{self, Misfit, Plan, Solved, State},
+    fit::{self, Plan, Solved, State},
     priors::{self, Priors},
     rays::{self, Rays},
     shape::{BASE, LOCAL, SLOPE_AT_MM, Shape, Space, Volumes},
+    system::Misfit,
     thickening::{self, low_pass},
     uncertainty::{self, Errors},
 };
@@ -37,7 +38,7 @@ const TEMPORAL_MM: f64 = 1.5;
 /// Wall activity over the brightness of the rays to start from: what the blur of a normal camera takes.
 const START_ACTIVITY: f64 = 1.15;
 /// Most Gauss-Newton steps; phantoms take 5 to 12.
-const STEPS: usize = 14;
+const STEPS: usize = 20;
 
 /// Fits the model, or only measures by rays where it is not enabled.
 pub(super) fn refine(
@@ -117,8 +118,11 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
         Shape { values }
     };
     let map = if chosen.uptake_map { rays::uptake_map(space, rays, usual_mm) } else { vec![0.0; UPTAKE] };
+    let shapes: Vec<Shape> = rays.iter().zip(&bases).map(shape).collect();
+    let log_wall_ml = shapes.iter().map(|shape| Volumes::of(shape, space).wall_ml().ln()).sum::<f64>() / shapes.len() as f64;
     let state = State {
-        shapes: rays.iter().zip(&bases).map(shape).collect(),
+        log_wall_ml,
+        shapes,
         activity: Activity {
             wall: START_ACTIVITY,
             blood: median(&|rays| rays.blood) / wall,
@@ -136,7 +140,7 @@ fn start(space: &Space, rays: &[Rays], chosen: &RefineParameters, sigma_mm: f64,
 
 /// What is said of a fit.
 fn describe(counts: &Counts, solved: &Solved, plan: &Plan, (space, rays): (&Space, &[Rays]), unseen: rays::Unseen) -> ModelFit {
-    let State { shapes, activity, sigma_mm } = &solved.state;
+    let State { shapes, activity, sigma_mm, .. } = &solved.state;
     let fwhm_mm = FWHM_PER_SIGMA * sigma_mm;
     let hidden = unseen.low + unseen.outside;
     let errors = uncertainty::errors(solved, space, plan.fits_width, hidden);

@@ -3,10 +3,11 @@
 
 use super::{
     Uncertainty,
-    fit::{Solved, WIDTH},
+    fit::Solved,
     linear::Arrow,
     refine::FWHM_PER_SIGMA,
     shape::{Shape, Space, Volumes},
+    system::WIDTH,
 };
 use crate::pipeline::measure::MYOCARDIAL_DENSITY_G_PER_ML;
 
