@@ -44,7 +44,7 @@ impl Method {
         }
     }
 
-    /// The parameters for a study seen through a main Gaussian of this width.
+    /// The parameters for a study seen through a camera that shows a line source this wide.
     pub fn parameters(self, psf_fwhm_mm: Option<f64>) -> Parameters {
         let mut parameters = if self == Self::Paper { Parameters::paper() } else { Parameters::clinical() };
         match self {
@@ -116,7 +116,7 @@ pub struct PoseError {
 /// What the model of the camera said of itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ModelSaid {
-    /// Estimated (or given) full width at half maximum less that of the true main Gaussian, in mm.
+    /// Estimated (or given) full width at half maximum less that of a line source's section, in mm.
     pub psf_error_mm: f64,
     /// Whether it was estimated.
     pub psf_estimated: bool,
@@ -221,7 +221,7 @@ pub struct Run {
 pub fn run(member: &Member, methods: &[Method]) -> Result<Vec<Run>, PhantomError> {
     let simulation = simulated(member)?;
     let of = |&method: &Method| {
-        let parameters = method.parameters(Some(member.phantom.imaging.psf.fwhm_mm));
+        let parameters = method.parameters(Some(member.phantom.imaging.psf.line_source_fwhm_mm()));
         let (outcome, seconds) = outcome(member, &simulation, &parameters);
         Run { name: member.name.clone(), family: member.family, group: member.group, method, outcome, seconds }
     };
@@ -327,7 +327,7 @@ fn model_said(member: &Member, found: &Reconstruction, values: &Values, truth: &
         ])
     });
     Some(ModelSaid {
-        psf_error_mm: model.psf.fwhm_mm - member.phantom.imaging.psf.fwhm_mm,
+        psf_error_mm: model.psf.fwhm_mm - member.phantom.imaging.psf.line_source_fwhm_mm(),
         psf_estimated: model.psf.source == PsfSource::Estimated,
         psf_at_bound: model.psf.at_bound,
         residual_over_noise: model.residual.over_noise,

@@ -34,6 +34,21 @@ impl Psf {
     pub const fn gaussian(fwhm_mm: f64) -> Self {
         Self { fwhm_mm, tail: None, growth: 0.0 }
     }
+
+    /// Full width at half maximum in mm of a line source's section in the grid's middle row: what one measures of a camera. A tail makes it wider
+    /// than the main Gaussian.
+    pub fn line_source_fwhm_mm(&self) -> f64 {
+        let Some(Tail { fraction, fwhm_mm: wide_mm }) = self.tail else { return self.fwhm_mm };
+        let sigmas = [self.fwhm_mm, wide_mm].map(|fwhm| fwhm / FWHM_PER_SIGMA);
+        let weights = [(1.0 - fraction) / sigmas[0].powi(2), fraction / sigmas[1].powi(2)];
+        let section = |r: f64| (0..2).map(|k| weights[k] * (-0.5 * (r / sigmas[k]).powi(2)).exp()).sum::<f64>();
+        let (mut low, mut high) = (0.0, self.fwhm_mm.max(wide_mm));
+        for _ in 0..60 {
+            let middle = f64::midpoint(low, high);
+            if section(middle) > 0.5 * section(0.0) { low = middle } else { high = middle }
+        }
+        low + high
+    }
 }
 
 /// The wide part of a point-spread function.
@@ -214,5 +229,21 @@ impl Kernel {
         for voxel in low..high {
             receive(voxel as usize, shares[(voxel - home + self.reach) as usize]);
         }
+    }
+}
+
+#[cfg(test)]
+mod width_tests {
+    use super::{Psf, Tail};
+
+    #[test]
+    fn a_tail_widens_what_a_line_source_shows() {
+        assert_eq!(Psf::gaussian(11.0).line_source_fwhm_mm(), 11.0);
+        let tailed = Psf { tail: Some(Tail { fraction: 0.25, fwhm_mm: 22.0 }), ..Psf::gaussian(11.0) };
+        let width = tailed.line_source_fwhm_mm();
+        // Amplitudes .75 and .25 / 4: at half the width the sum is half of .8125.
+        let at = |fwhm: f64| (-4.0 * std::f64::consts::LN_2 * (0.5 * width / fwhm).powi(2)).exp();
+        assert!((0.75 * at(11.0) + 0.0625 * at(22.0) - 0.5 * 0.8125).abs() < 1e-12, "{width}");
+        assert!((11.0..11.6).contains(&width), "{width}");
     }
 }

@@ -101,29 +101,69 @@ fn what_is_no_ventricle_is_refused() {
     }
 }
 
-/// The study with its axes in another order, one of them turned round.
-fn transposed(study: &Study) -> Study {
-    let [z, y, x] = study.grid.spacing_mm;
-    let turn = |volume: &Volume| {
-        let mut counts = volume.counts.clone().permuted_axes([2, 0, 1]);
-        counts.invert_axis(ndarray::Axis(1));
-        let counts = counts.as_standard_layout().into_owned();
-        let (nx, nz, ny) = counts.dim();
-        Volume { grid: Grid { shape: [nx, nz, ny], spacing_mm: [x, z, y] }, counts }
-    };
+/// The study with every gate's volume changed.
+fn changed(study: &Study, change: impl Fn(&Volume) -> Volume) -> Study {
     let gates: Vec<_> =
-        study.gates.iter().map(|gate| ventricle::study::Gate { volume: turn(&gate.volume), duration_ms: gate.duration_ms }).collect();
+        study.gates.iter().map(|gate| ventricle::study::Gate { volume: change(&gate.volume), duration_ms: gate.duration_ms }).collect();
     Study { grid: gates[0].volume.grid, gates, orientation: None, ..study.clone() }
 }
 
+/// The study with its axes in another order, some of them turned round.
+fn turned(study: &Study, order: [usize; 3], reversed: &[usize]) -> Study {
+    changed(study, |volume| {
+        let mut counts = volume.counts.clone().permuted_axes(order);
+        for &axis in reversed {
+            counts.invert_axis(ndarray::Axis(axis));
+        }
+        let counts = counts.as_standard_layout().into_owned();
+        let (a, b, c) = counts.dim();
+        Volume { grid: Grid { shape: [a, b, c], spacing_mm: order.map(|axis| volume.grid.spacing_mm[axis]) }, counts }
+    })
+}
+
+fn clinical(study: &Study) -> Values {
+    Values::of(&pipeline::reconstruct(study, &Method::Clinical.parameters(None), &Silent).unwrap()).unwrap()
+}
+
 #[test]
-fn transposing_a_study_changes_nothing_that_matters() {
+fn turning_a_study_by_its_axes_changes_nothing_that_matters() {
     let member = &members(&["normal #2"])[0];
     let study = Study { orientation: None, ..accuracy::score::simulated(member).unwrap().study };
-    let values = |study: &Study| Values::of(&pipeline::reconstruct(study, &Method::Clinical.parameters(None), &Silent).unwrap()).unwrap();
-    let (upright, turned) = (values(&study), values(&transposed(&study)));
-    for (what, a, b) in
-        [("EDV", upright.edv_ml, turned.edv_ml), ("ESV", upright.esv_ml, turned.esv_ml), ("EF", upright.ef_percent, turned.ef_percent)]
+    let upright = clinical(&study);
+    // Slices reversed, a mirror image, a quarter turn in the plane, half a turn, transposed and mirrored.
+    let turns: [([usize; 3], &[usize]); 5] =
+        [([0, 1, 2], &[0]), ([0, 1, 2], &[2]), ([0, 2, 1], &[1]), ([0, 1, 2], &[1, 2]), ([2, 0, 1], &[1])];
+    for (order, reversed) in turns {
+        let turned = clinical(&turned(&study, order, reversed));
+        for (what, a, b) in
+            [("EDV", upright.edv_ml, turned.edv_ml), ("ESV", upright.esv_ml, turned.esv_ml), ("EF", upright.ef_percent, turned.ef_percent)]
+        {
+            assert!((a / b - 1.0).abs() < 0.01, "{order:?} {reversed:?} {what}: {a} against {b}");
+        }
+    }
+}
+
+#[test]
+fn doubled_counts_give_the_same_numbers() {
+    let member = &members(&["clinic #1"])[0];
+    let study = accuracy::score::simulated(member).unwrap().study;
+    let doubled = changed(&study, |volume| Volume { grid: volume.grid, counts: &volume.counts * 2.0 });
+    let (once, twice) = (clinical(&Study { orientation: None, ..study }), clinical(&doubled));
+    assert_eq!((once.edv_ml, once.esv_ml, once.ef_percent), (twice.edv_ml, twice.esv_ml, twice.ef_percent));
+}
+
+/// The same heart half a voxel further along each axis, without noise: another sample of the same image.
+#[test]
+fn half_a_voxel_changes_nothing_that_matters() {
+    let mut member = members(&["twisted #1"]).remove(0);
+    member.phantom.imaging.noise_seed = None;
+    let here = clinical(&accuracy::score::simulated(&member).unwrap().study);
+    let half: [f64; 3] = member.phantom.imaging.grid.spacing_mm.map(|mm| 0.5 * mm);
+    for (offset, by) in member.phantom.pose.offset_mm.iter_mut().zip(half) {
+        *offset += by;
+    }
+    let there = clinical(&accuracy::score::simulated(&member).unwrap().study);
+    for (what, a, b) in [("EDV", here.edv_ml, there.edv_ml), ("ESV", here.esv_ml, there.esv_ml), ("EF", here.ef_percent, there.ef_percent)]
     {
         assert!((a / b - 1.0).abs() < 0.01, "{what}: {a} against {b}");
     }

@@ -16,6 +16,7 @@ mod paper;
 mod phantom;
 mod pipeline;
 mod pose;
+mod quality;
 mod report;
 mod restart;
 mod served;

@@ -13,18 +13,18 @@ use crate::pipeline::measure::MYOCARDIAL_DENSITY_G_PER_ML;
 
 /// Standard deviations of what the model leaves wrong however good the counts are, relative (ejection fraction: points): what is left on the
 /// phantoms of `docs/accuracy.md` when the fit's own error is taken away.
-const MODEL_EDV: f64 = 0.008;
-const MODEL_ESV: f64 = 0.015;
+const MODEL_EDV: f64 = 0.006;
+const MODEL_ESV: f64 = 0.011;
 const MODEL_EF: f64 = 0.3;
-const MODEL_MASS: f64 = 0.015;
+const MODEL_MASS: f64 = 0.010;
 /// How much more a wall that is not seen adds, a part of it: likewise, from the phantoms with defects.
 const UNSEEN_EDV: f64 = 0.12;
 const UNSEEN_ESV: f64 = 0.25;
-const UNSEEN_EF: f64 = 12.0;
-const UNSEEN_MASS: f64 = 0.35;
+const UNSEEN_EF: f64 = 9.0;
+const UNSEEN_MASS: f64 = 0.30;
 /// What a point-spread function that is not one Gaussian makes of the estimated width, in mm: tails and widths that change over the field
 /// move it by 0.4 ± 0.4 on phantoms.
-const MODEL_FWHM_MM: f64 = 0.25;
+const MODEL_FWHM_MM: f64 = 0.20;
 
 /// Standard errors, and what hangs on the width.
 pub(super) struct Errors {

@@ -22,6 +22,13 @@ const LEAST_EXPLAINED_WITHOUT_TIP: f64 = 0.86;
 /// The same where the flipped pose is as good: tubes' at most .87, ventricles' .89 and more.
 const LEAST_EXPLAINED_OF_RINGS: f64 = 0.885;
 
+/// Least mean of the perfused parts of wall and rim: cups have .50 and less, ventricles with a defect of half their wall .55 and more.
+const LEAST_WHOLE: f64 = 0.525;
+/// A cup is as short as a shell may be (length over radius 2.0, 2.1 with noise). One longer than this with .49 was a ventricle with half of its wall dark
+/// on one side; guts and rings have .27 and less.
+const LONG: f64 = 2.3;
+const LEAST_WHOLE_OF_LONG: f64 = 0.45;
+
 /// What was measured of a shell.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Evidence {
@@ -57,8 +64,8 @@ pub(super) struct Judged {
 }
 
 impl Evidence {
-    /// Mean of the perfused parts of wall and rim. A cup that is no ventricle ends half way to where the fitted shell does, all around: it has
-    /// .5 and less. A ventricle with a defect of half its wall has .55 and more, for beside the defect the wall reaches the valve plane.
+    /// Mean of the perfused parts of wall and rim. A cup that is no ventricle ends half way to where the fitted shell does, all around. In a
+    /// ventricle with a defect of half its wall the rest reaches the valve plane.
     fn whole(&self) -> f64 {
         f64::midpoint(self.perfused, self.rim)
     }
@@ -181,7 +188,7 @@ fn limits(judged: &Judged) -> [Limit; 8] {
         Limit {
             what: "part of its wall and of its rim at the valve plane that has a wall's counts",
             value: e.whole(),
-            at: 0.525,
+            at: if judged.fit.shell.elongation() > LONG { LEAST_WHOLE_OF_LONG } else { LEAST_WHOLE },
             clear: 0.75,
         },
         Limit { what: "part of its wall in the field of view", value: e.inside, at: 0.75, clear: 0.92 },
