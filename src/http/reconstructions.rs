@@ -186,7 +186,15 @@ fn receive(
     let parameters = parameters::resolve(parameters)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
     pose::check_marks(&received.study.grid, &parameters.pose)?;
-    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters })
+    Ok(NewJob {
+        owner: OWNER.to_owned(),
+        idempotency_key,
+        request_hash,
+        study: received.study,
+        parameters,
+        retention: None,
+        callback_url: None,
+    })
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.

@@ -106,6 +106,10 @@ pub struct NewJob {
     pub study: Study,
     /// The resolved parameters.
     pub parameters: Parameters,
+    /// How long the job is kept after its end, if not as long as others.
+    pub retention: Option<std::time::Duration>,
+    /// Who is told of its end.
+    pub callback_url: Option<String>,
 }
 
 /// The answer to a submission.

@@ -150,7 +150,7 @@ impl Store {
                 insert_blob(&mut transaction, claim.id, &output.name, output.media_type, sha256, output.data.clone()).await?;
             }
         }
-        self.drop_input(&mut transaction, claim.id).await?;
+        self.end(&mut transaction, claim.id).await?;
         transaction.commit().await?;
         self.inner.watchers.announce(claim.id);
         finished(state);
@@ -215,7 +215,7 @@ impl Store {
             let state =
                 State::from_name(&row.get::<String>(1)?).ok_or_else(|| StoreError::Damaged { what: format!("state of job {id}") })?;
             if state.is_final() {
-                self.drop_input(&mut transaction, id).await?;
+                self.end(&mut transaction, id).await?;
             } else {
                 queued.jobs += 1;
                 queued.bytes += row.get::<i64>(2)? as u64;

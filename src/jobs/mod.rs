@@ -13,6 +13,7 @@
 //! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
+//! | `ending.rs` | what follows when a job ends |
 //! | `progress.rs` | how a running reconstruction is watched and stopped |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
@@ -21,6 +22,7 @@
 
 mod compute;
 mod database;
+mod ending;
 mod error;
 pub mod input;
 mod job;

@@ -6,7 +6,7 @@ use super::{
 };
 
 /// The steps from nothing to the present schema; step `n` makes version `n + 1`. Released steps are never changed.
-const STEPS: [&str; 1] = [include_str!("schema.sql")];
+const STEPS: [&str; 2] = [include_str!("schema.sql"), include_str!("schema-2.sql")];
 
 /// What PostgreSQL alone needs: blobs are compressed formats or noise, so trying to compress them costs time only.
 const POSTGRES_STORAGE: &str = "ALTER TABLE blobs ALTER COLUMN data SET STORAGE EXTERNAL";

@@ -42,6 +42,8 @@ pub struct StoreSettings {
     pub lease: Duration,
     /// Whether the input of a finished job is kept.
     pub keep_input: bool,
+    /// How long a finished job and its results are kept if the job does not say; `None`: until they are deleted.
+    pub retention: Option<Duration>,
     /// How long to wait for another process to leave the data directory.
     pub directory_wait: Duration,
     /// How often changes made by other processes are looked for while waiting.
@@ -62,6 +64,7 @@ impl Default for StoreSettings {
             // Six heartbeats: one late answer of a busy disk costs no job.
             lease: Duration::from_secs(30),
             keep_input: false,
+            retention: None,
             // A service manager may start the next process while the last one still closes its files.
             directory_wait: Duration::from_secs(5),
             poll: Duration::from_secs(1),

@@ -137,7 +137,7 @@ impl Store {
             WHERE id = $1 AND state = 'queued' RETURNING input_bytes";
         if let Some(row) = transaction.fetch_one(&database.render(cancel), values![id]).await? {
             let bytes = row.get::<i64>(0)?;
-            self.drop_input(&mut transaction, id).await?;
+            self.end(&mut transaction, id).await?;
             let job = self.get_in(&mut transaction, id).await?;
             transaction.commit().await?;
             self.inner.queue.left(bytes as u64);
@@ -236,14 +236,6 @@ impl Store {
     /// What the workers of this process hold.
     pub(super) fn running(&self) -> MutexGuard<'_, HashMap<Uuid, Arc<Progress>>> {
         self.inner.running.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Deletes the input of a job that is finished, unless inputs are kept.
-    pub(super) async fn drop_input(&self, transaction: &mut Transaction, id: Uuid) -> Result<(), StoreError> {
-        if !self.inner.settings.keep_input {
-            transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
-        }
-        Ok(())
     }
 
     /// A job from a row of [`SELECT`].

@@ -65,8 +65,8 @@ impl NewRow {
     async fn insert(self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
         let sql = store.inner.database.render(
             "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
-                max_attempts, run_after, gates_total, created_at)
-            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now})",
+                max_attempts, run_after, gates_total, created_at, retention_ms, callback_url)
+            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now}, $10, $11)",
         );
         let size = self.input.len() as i64;
         let values = values![
@@ -79,6 +79,8 @@ impl NewRow {
             size,
             i64::from(store.inner.settings.max_attempts),
             self.new.study.gates.len() as i64,
+            self.new.retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 2)),
+            self.new.callback_url,
         ];
         transaction.execute(&sql, values).await?;
         insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await

@@ -83,7 +83,15 @@ fn study() -> Study {
 }
 
 fn new_job() -> NewJob {
-    NewJob { owner: "someone".into(), idempotency_key: None, request_hash: [1; 32], study: study(), parameters: Parameters::paper() }
+    NewJob {
+        owner: "someone".into(),
+        idempotency_key: None,
+        request_hash: [1; 32],
+        study: study(),
+        parameters: Parameters::paper(),
+        retention: None,
+        callback_url: None,
+    }
 }
 
 async fn submit(store: &Store) -> Job {

@@ -1,0 +1,26 @@
+//! What follows when a job reaches its final state, in the same transaction: its input goes, its time to be kept begins, and whoever
+//! asked for it will be told.
+
+use super::{
+    database::{Transaction, values},
+    error::StoreError,
+    store::{INPUT, Store},
+};
+use uuid::Uuid;
+
+impl Store {
+    /// To be called in every transaction that ends a job.
+    pub(super) async fn end(&self, transaction: &mut Transaction, id: Uuid) -> Result<(), StoreError> {
+        if !self.inner.settings.keep_input {
+            transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
+        }
+        let kept_ms = self.inner.settings.retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 2));
+        let expires = "UPDATE jobs SET expires_at = finished_at + COALESCE(retention_ms, $2) WHERE id = $1";
+        transaction.execute(expires, values![id, kept_ms]).await?;
+        let sql = self.inner.database.render(
+            "INSERT INTO deliveries (id, job_id, url, state, run_after, created_at)
+            SELECT $2, id, callback_url, 'pending', {now}, {now} FROM jobs WHERE id = $1 AND callback_url IS NOT NULL",
+        );
+        transaction.execute(&sql, values![id, Uuid::now_v7()]).await.map(drop)
+    }
+}
