@@ -15,9 +15,6 @@ use super::{
 use std::{sync::Arc, time::Duration};
 use uuid::Uuid;
 
-/// Pause before a job whose worker was lost is tried again, times the attempts so far.
-const RETRY_PAUSE: Duration = Duration::from_secs(1);
-
 /// A job held by a worker.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
@@ -171,12 +168,12 @@ impl Store {
 
     /// Takes back the jobs whose lease is over.
     pub async fn reap(&self) -> Result<Vec<Reaped>, StoreError> {
-        self.take_back("lease_until < {now}", vec![], 0, RETRY_PAUSE).await
+        self.take_back("lease_until < {now}", vec![], 0, self.inner.settings.retry_pause).await
     }
 
     /// Takes back all running jobs: no worker can hold any.
     pub(super) async fn reap_all(&self) -> Result<Vec<Reaped>, StoreError> {
-        self.take_back("TRUE", vec![], 0, Duration::ZERO).await
+        self.take_back("TRUE", vec![], 0, self.inner.settings.retry_pause).await
     }
 
     /// Takes running jobs back from their workers, with `credit` more attempts to come.

@@ -40,6 +40,9 @@ pub struct StoreSettings {
     pub max_attempts: u32,
     /// How long a worker may hold a job without a heartbeat.
     pub lease: Duration,
+    /// Pause before a job whose worker was lost is tried again, times the attempts so far: others come first, should it be the job that kills
+    /// workers, and a service that is killed again and again does not lose the same job each time.
+    pub retry_pause: Duration,
     /// Whether the input of a finished job is kept.
     pub keep_input: bool,
     /// How long a finished job and its results are kept if the job does not say; `None`: until they are deleted.
@@ -63,6 +66,8 @@ impl Default for StoreSettings {
             max_attempts: 3,
             // Six heartbeats: one late answer of a busy disk costs no job.
             lease: Duration::from_secs(30),
+            // 4 and 8 s: three losses within the seconds that a service needs to come up again are not the job's doing.
+            retry_pause: Duration::from_secs(4),
             keep_input: false,
             retention: None,
             // A service manager may start the next process while the last one still closes its files.

@@ -51,7 +51,7 @@ impl Place {
     }
 
     fn settings(&self) -> StoreSettings {
-        StoreSettings { backend: self.backend.clone(), connections: 4, ..StoreSettings::default() }
+        StoreSettings { backend: self.backend.clone(), connections: 4, retry_pause: Duration::ZERO, ..StoreSettings::default() }
     }
 
     async fn open(&self) -> Store {
@@ -353,6 +353,19 @@ async fn a_job_that_loses_every_worker_fails_and_the_next_one_runs() {
     let next = submit(&store).await;
     let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
     until_state(&store, next.id, State::Succeeded).await;
+}
+
+#[tokio::test]
+async fn a_lost_job_lets_others_go_first() {
+    let place = Place::sqlite();
+    let store = place.open().await;
+    let lost = submit(&store).await.id;
+    assert_eq!(store.claim("dies").await.unwrap().unwrap().id, lost);
+    store.close().await;
+    let store = Store::open(StoreSettings { retry_pause: Duration::from_hours(1), ..place.settings() }).await.unwrap();
+    let other = submit(&store).await.id;
+    assert_eq!(store.claim("lives").await.unwrap().unwrap().id, other);
+    assert_eq!(store.claim("lives").await.unwrap(), None, "its time has not come");
 }
 
 #[tokio::test]

@@ -69,6 +69,10 @@ impl Served {
         self.child.wait().unwrap();
     }
 
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     pub(crate) fn is_alive(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
@@ -82,6 +86,11 @@ impl Served {
 
     pub(crate) fn get(&self, path: &str) -> Answer {
         answer(self.agent.get(format!("{}{path}", self.url)).call().unwrap())
+    }
+
+    /// `None` if there is no answer.
+    pub(crate) fn try_get(&self, path: &str) -> Option<Answer> {
+        self.agent.get(format!("{}{path}", self.url)).call().ok().map(answer)
     }
 
     pub(crate) fn post(&self, media_type: &str, body: &[u8]) -> Answer {

@@ -15,6 +15,13 @@ pub(crate) fn folder(name: &str) -> Option<PathBuf> {
     None
 }
 
+/// Says that a test skips itself because a program of this Debian package is absent; a failure where `CI` is set.
+#[allow(clippy::disallowed_methods)] // as above
+pub(crate) fn absent(package: &str) {
+    assert!(std::env::var_os("CI").is_none(), "{package} must be installed in CI");
+    println!("skipped: {package} is absent (Debian package {package})");
+}
+
 /// A real gated study and what its labels say.
 pub(crate) struct Labelled {
     pub(crate) name: String,

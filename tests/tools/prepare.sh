@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, Node with the Khronos
-# validator for glTF. What cannot be installed is said; its tests then skip, or fail when CI is set.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, strace for what is
+# written to disk, Node with the Khronos validator for glTF. What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -12,6 +12,7 @@ as_root() {
 
 missing=()
 command -v dciodvfy >/dev/null || missing+=(dicom3tools)
+command -v strace >/dev/null || missing+=(strace)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)
 if ((${#missing[@]})); then
