@@ -196,8 +196,9 @@ fn labelled_studies_agree_with_their_labels() {
 #[test]
 fn the_document_has_a_place_for_every_table_and_lists_the_family_as_it_is() {
     let document = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/accuracy.md")).unwrap();
-    let places = ["criteria", "agreement", "found by itself", "coverage", "negatives", "real", "real studies", "published", "seconds"];
-    let methods = [Method::Clinical, Method::PsfGiven, Method::Gradient].map(Method::name);
+    let places =
+        ["criteria", "agreement", "found by itself", "coverage", "negatives", "ablation", "real", "real studies", "published", "seconds"];
+    let methods = [Method::Clinical, Method::PsfGiven, Method::Gradient, Method::Paper].map(Method::name);
     for name in places.into_iter().chain(methods) {
         let written = markdown::written(&document, name).unwrap_or_else(|| panic!("no place for {name}"));
         assert!(written.lines().filter(|line| line.starts_with('|')).count() > 2, "{name}: run make accuracy");
