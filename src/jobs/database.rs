@@ -5,6 +5,9 @@
 //! (the last thing a statement that changes a job returns: tells the other nodes when it is committed, see `listen.rs`). An enum over two
 //! pools rather than `sqlx::Any`: `Any` cannot begin a transaction with `BEGIN IMMEDIATE`, knows no `LISTEN`, and decodes by the value
 //! found instead of the type asked for. Generic code over `sqlx::Database` needs some twenty bounds on each function.
+//!
+//! On PostgreSQL every statement is unnamed and inside a transaction: a connection pooler may give each of them another connection
+//! of the server, where a name is unknown or somebody else's.
 
 use super::error::StoreError;
 use sqlx::{
@@ -234,10 +237,15 @@ impl Database {
     /// Runs one statement by itself; returns the rows it gives.
     pub(super) async fn fetch(&self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
         let sql = self.render(sql);
-        Ok(match self {
-            Self::Sqlite(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect(),
-            Self::Postgres(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Postgres).collect(),
-        })
+        match self {
+            Self::Sqlite(pool) => Ok(bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect()),
+            Self::Postgres(_) => {
+                let mut transaction = self.begin().await?;
+                let rows = transaction.fetch(&sql, values).await?;
+                transaction.commit().await?;
+                Ok(rows)
+            }
+        }
     }
 
     /// Runs one statement by itself; returns the first row it gives.
@@ -260,7 +268,7 @@ impl Transaction {
         let sql = sql.to_owned();
         Ok(match self {
             Self::Sqlite(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
-            Self::Postgres(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
+            Self::Postgres(transaction) => bound!(sql, values).persistent(false).execute(&mut **transaction).await?.rows_affected(),
         })
     }
 
@@ -270,7 +278,8 @@ impl Transaction {
         Ok(match self {
             Self::Sqlite(transaction) => bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Sqlite).collect(),
             Self::Postgres(transaction) => {
-                bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Postgres).collect()
+                let rows = bound!(sql, values).persistent(false).fetch_all(&mut **transaction).await?;
+                rows.into_iter().map(Row::Postgres).collect()
             }
         })
     }

@@ -9,7 +9,7 @@ use super::{
     database::CHANNEL,
     store::{Inner, Store},
 };
-use sqlx::{AssertSqlSafe, Executor as _, postgres::PgListener};
+use sqlx::{AssertSqlSafe, Executor as _, Row as _, postgres::PgListener};
 use std::{io, sync::Weak, time::Duration};
 use tokio::time::{sleep, timeout};
 use uuid::Uuid;
@@ -46,8 +46,9 @@ async fn connect(url: &str) -> Result<PgListener, sqlx::Error> {
     let mut listener = PgListener::connect(url).await?;
     // There is something to be done after a connection was lost, so it is to be told.
     listener.eager_reconnect(false);
-    let channel: String = sqlx::query_scalar(AssertSqlSafe(format!("SELECT {CHANNEL}"))).fetch_one(&mut listener).await?;
-    listener.listen(&channel).await?;
+    // In the simple protocol, without a named statement, as everything (see `database.rs`).
+    let row = sqlx::raw_sql(AssertSqlSafe(format!("SELECT {CHANNEL}"))).fetch_one(&mut listener).await?;
+    listener.listen(row.try_get(0)?).await?;
     Ok(listener)
 }
 
