@@ -23,6 +23,18 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_DATABASE_URL", hide_env_values = true)]
     pub database_url: Option<String>,
 
+    /// Connections to PostgreSQL; one more listens for what other nodes do.
+    #[arg(long, env = "VENTRICLE_DATABASE_CONNECTIONS", default_value = "10", value_parser = clap::value_parser!(u32).range(2..=1000))]
+    pub database_connections: u32,
+
+    /// Name of this node, for people who look at the leases in the table and at the log [default: host name and process id].
+    #[arg(long, env = "VENTRICLE_NODE", value_parser = node_name)]
+    pub node: Option<String>,
+
+    /// Seconds after which a job whose worker gave no sign of life is taken back; workers give one six times as often.
+    #[arg(long, env = "VENTRICLE_LEASE_SECONDS", default_value = "30", value_parser = clap::value_parser!(u64).range(2..=3600))]
+    pub lease_seconds: u64,
+
     /// Jobs worked on at once.
     #[arg(long, env = "VENTRICLE_WORKERS", default_value = "1")]
     pub workers: NonZeroUsize,
@@ -181,6 +193,24 @@ impl ServeSettings {
         self.max_body_mb << 20
     }
 
+    /// Name of this node: what is asked for, else one that no other node has.
+    pub fn node_name(&self) -> String {
+        self.node.clone().unwrap_or_else(|| {
+            let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
+            format!("{host}-{}", std::process::id())
+        })
+    }
+
+    /// How long a worker may hold a job without a sign of life.
+    pub fn lease(&self) -> Duration {
+        Duration::from_secs(self.lease_seconds)
+    }
+
+    /// How often a worker gives a sign of life: one that is late costs no job, nor do four in a row.
+    pub fn heartbeat(&self) -> Duration {
+        self.lease() / 6
+    }
+
     /// Time running jobs get to finish.
     pub fn drain_time(&self) -> Duration {
         Duration::from_secs(self.drain_seconds)
@@ -191,6 +221,15 @@ impl ServeSettings {
 fn is_origin(text: &str) -> bool {
     let host = text.strip_prefix("https://").or(text.strip_prefix("http://"));
     host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ', '@']))
+}
+
+/// A name that can stand in a table, a log and a label without quotes.
+fn node_name(text: &str) -> Result<String, String> {
+    let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    if (1..=64).contains(&text.len()) && text.chars().all(plain) {
+        return Ok(text.to_owned());
+    }
+    Err("a node's name has 1 to 64 letters, digits and -_.".to_owned())
 }
 
 #[cfg(test)]
@@ -225,6 +264,24 @@ mod tests {
         for wrong in ["a.example", "https://a.example/path", "*,https://a.example", "https://*"] {
             assert!(matches!(settings(&["--cors-origin", wrong]).validate(), Err(ConfigError::NotAnOrigin { .. })), "{wrong}");
         }
+    }
+
+    #[test]
+    fn nodes_have_names_of_their_own_unless_given_one() {
+        assert_eq!(settings(&["--node", "a-1.ward_2"]).node_name(), "a-1.ward_2");
+        let own = settings(&[]).node_name();
+        assert!(own.len() > 2 && own.ends_with(&format!("-{}", std::process::id())), "{own}");
+        for wrong in ["", "a b", "a/b", &"a".repeat(65)] {
+            assert!(ServeSettings::from_flags(["--node", wrong]).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn leases_outlive_missed_heartbeats() {
+        assert_eq!((settings(&[]).lease(), settings(&[]).heartbeat()), (Duration::from_secs(30), Duration::from_secs(5)));
+        let short = settings(&["--lease-seconds", "2"]);
+        assert!(short.heartbeat() * 5 < short.lease());
+        assert!(ServeSettings::from_flags(["--lease-seconds", "1"]).is_err());
     }
 
     #[test]

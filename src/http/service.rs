@@ -118,13 +118,21 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         max_queued_jobs: settings.max_queued_jobs,
         max_queued_bytes: settings.max_queued_mb << 20,
         keep_input: settings.keep_input,
+        lease: settings.lease(),
+        connections: settings.database_connections,
         ..StoreSettings::default()
     }
 }
 
 /// The workers a service with these settings has.
 fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
-    WorkerSettings { workers: settings.workers.get(), threads_per_worker: settings.threads().get(), ..WorkerSettings::default() }
+    WorkerSettings {
+        workers: settings.workers.get(),
+        threads_per_worker: settings.threads().get(),
+        node: settings.node_name(),
+        heartbeat: settings.heartbeat(),
+        ..WorkerSettings::default()
+    }
 }
 
 fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> AppState {

@@ -1,9 +1,13 @@
 //! One SQL text on two engines.
 //!
-//! Statements are written once, with `$1`-style placeholders, and may hold four named fragments where the engines differ:
-//! `{now}` (the database's clock in ms since 1970), `{skip_locked}`, `{bytes}` (the type of binary columns) and `{lock_queue}`. An enum
-//! over two pools rather than `sqlx::Any`: `Any` cannot begin a transaction with `BEGIN IMMEDIATE`, knows no `LISTEN`, and decodes by
-//! the value found instead of the type asked for. Generic code over `sqlx::Database` needs some twenty bounds on each function.
+//! Statements are written once, with `$1`-style placeholders, and may hold five named fragments where the engines differ:
+//! `{now}` (the database's clock in ms since 1970), `{skip_locked}`, `{bytes}` (the type of binary columns), `{lock_queue}` and `{notify}`
+//! (the last thing a statement that changes a job returns: tells the other nodes when it is committed, see `listen.rs`). An enum over two
+//! pools rather than `sqlx::Any`: `Any` cannot begin a transaction with `BEGIN IMMEDIATE`, knows no `LISTEN`, and decodes by the value
+//! found instead of the type asked for. Generic code over `sqlx::Database` needs some twenty bounds on each function.
+//!
+//! On PostgreSQL every statement is unnamed and inside a transaction: a connection pooler may give each of them another connection
+//! of the server, where a name is unknown or somebody else's.
 
 use super::error::StoreError;
 use sqlx::{
@@ -27,6 +31,12 @@ const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(30);
 const LOCK_PAUSE: Duration = Duration::from_millis(100);
 /// Key of the PostgreSQL advisory locks: "vent" and a number of what is locked.
 const ADVISORY_KEY: i64 = 0x7665_6e74_0000_0000;
+/// The channel on which the nodes of one schema tell each other of changes, as an expression of PostgreSQL. Channels belong to a database;
+/// the schema's number keeps apart those who share it, and fits into the 63 bytes a channel's name may have, whatever the schema is called.
+pub(super) const CHANNEL: &str = "'ventricle_' || CAST(CAST(quote_ident(current_schema()) AS regnamespace) AS oid)";
+/// What is told of a changed row: what kind of change it is, by the state the job is now in, and which job.
+const NEWS: &str = "CASE WHEN state = 'queued' THEN 'queued' WHEN state = 'running' AND cancel_requested THEN 'cancel' ELSE 'changed' END
+    || ' ' || id";
 
 /// The database behind a store.
 #[derive(Debug, Clone)]
@@ -133,9 +143,20 @@ impl Database {
         Ok(database)
     }
 
-    /// Connects to a PostgreSQL database.
-    pub(super) async fn postgres(url: &str, connections: u32) -> Result<Self, StoreError> {
-        let pool = PgPoolOptions::new().max_connections(connections).acquire_timeout(ACQUIRE_TIMEOUT).connect(url).await?;
+    /// Connects to a PostgreSQL database. A node that stops for `patience` in the middle of a transaction loses its connection, and with
+    /// it the locks that all others would wait for.
+    pub(super) async fn postgres(url: &str, connections: u32, patience: Duration) -> Result<Self, StoreError> {
+        // A setting of the session rather than a parameter of the connection, which poolers refuse.
+        let set = format!("SET idle_in_transaction_session_timeout = {}", patience.as_millis().clamp(1, i32::MAX as u128));
+        let pool = PgPoolOptions::new()
+            .max_connections(connections)
+            .acquire_timeout(ACQUIRE_TIMEOUT)
+            .after_connect(move |connection, _| {
+                let set = AssertSqlSafe(set.clone());
+                Box::pin(async move { sqlx::raw_sql(set).execute(connection).await.map(drop) })
+            })
+            .connect(url)
+            .await?;
         Ok(Self::Postgres(pool))
     }
 
@@ -174,19 +195,23 @@ impl Database {
     /// The statement in this engine's words.
     pub(super) fn render(&self, sql: &str) -> String {
         let lock_queue = format!("SELECT pg_advisory_xact_lock({})", ADVISORY_KEY + 1);
-        let fragments: [(&str, &str); 4] = match self {
+        let notify = format!("pg_notify({CHANNEL}, {NEWS})");
+        let fragments: [(&str, &str); 5] = match self {
             Self::Sqlite(_) => [
                 ("{now}", "CAST(ROUND(unixepoch('subsec') * 1000) AS BIGINT)"),
                 ("{skip_locked}", ""),
                 ("{bytes}", "BLOB"),
                 // A transaction of SQLite is alone from its BEGIN IMMEDIATE.
                 ("{lock_queue}", "SELECT 1"),
+                // There are no other nodes.
+                ("{notify}", "NULL"),
             ],
             Self::Postgres(_) => [
                 ("{now}", "CAST(ROUND(EXTRACT(EPOCH FROM clock_timestamp()) * 1000) AS BIGINT)"),
                 ("{skip_locked}", "FOR UPDATE SKIP LOCKED"),
                 ("{bytes}", "BYTEA"),
                 ("{lock_queue}", &lock_queue),
+                ("{notify}", &notify),
             ],
         };
         fragments.into_iter().fold(sql.to_owned(), |sql, (name, text)| sql.replace(name, text))
@@ -212,10 +237,15 @@ impl Database {
     /// Runs one statement by itself; returns the rows it gives.
     pub(super) async fn fetch(&self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
         let sql = self.render(sql);
-        Ok(match self {
-            Self::Sqlite(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect(),
-            Self::Postgres(pool) => bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Postgres).collect(),
-        })
+        match self {
+            Self::Sqlite(pool) => Ok(bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect()),
+            Self::Postgres(_) => {
+                let mut transaction = self.begin().await?;
+                let rows = transaction.fetch(&sql, values).await?;
+                transaction.commit().await?;
+                Ok(rows)
+            }
+        }
     }
 
     /// Runs one statement by itself; returns the first row it gives.
@@ -238,7 +268,7 @@ impl Transaction {
         let sql = sql.to_owned();
         Ok(match self {
             Self::Sqlite(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
-            Self::Postgres(transaction) => bound!(sql, values).execute(&mut **transaction).await?.rows_affected(),
+            Self::Postgres(transaction) => bound!(sql, values).persistent(false).execute(&mut **transaction).await?.rows_affected(),
         })
     }
 
@@ -248,7 +278,8 @@ impl Transaction {
         Ok(match self {
             Self::Sqlite(transaction) => bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Sqlite).collect(),
             Self::Postgres(transaction) => {
-                bound!(sql, values).fetch_all(&mut **transaction).await?.into_iter().map(Row::Postgres).collect()
+                let rows = bound!(sql, values).persistent(false).fetch_all(&mut **transaction).await?;
+                rows.into_iter().map(Row::Postgres).collect()
             }
         })
     }

@@ -101,11 +101,12 @@ impl StoreError {
     }
 }
 
-/// PostgreSQL: connection, rollback, resources, object state, operator intervention (Appendix A of its manual; always five characters).
+/// PostgreSQL: connection, a transaction that this node paused in for too long, rollback, resources, object state, operator intervention
+/// (Appendix A of its manual; always five characters).
 /// SQLite: busy, locked, disk error, disk full (<https://www.sqlite.org/rescode.html>; a number whose low byte is the primary code).
 fn is_passing_code(code: &str) -> bool {
     if code.len() == 5 {
-        return ["08", "40", "53", "55", "57"].iter().any(|class| code.starts_with(class));
+        return ["08", "25P03", "40", "53", "55", "57"].iter().any(|class| code.starts_with(class));
     }
     code.parse::<u32>().is_ok_and(|code| matches!(code & 0xff, 5 | 6 | 10 | 13))
 }

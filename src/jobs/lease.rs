@@ -77,7 +77,7 @@ impl Store {
             WHERE state = 'queued' AND id = (
                 SELECT id FROM jobs WHERE state = 'queued' AND run_after <= {now} ORDER BY priority DESC, id LIMIT 1 {skip_locked}
             )
-            RETURNING id, attempts, parameters, input_bytes, started_at - created_at";
+            RETURNING id, attempts, parameters, input_bytes, started_at - created_at, {notify}";
         let values = values![worker, milliseconds(self.inner.settings.lease)];
         let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(None) };
         self.inner.queue.left(row.get::<i64>(3)? as u64);
@@ -100,7 +100,7 @@ impl Store {
         let sql = "UPDATE jobs SET lease_until = {now} + $3, progress = COALESCE($4, progress), stage = COALESCE($5, stage),
                 gates_done = COALESCE($6, gates_done), version = version + $7
             WHERE id = $1 AND attempts = $2 AND state = 'running'
-            RETURNING cancel_requested";
+            RETURNING cancel_requested, CASE WHEN $7 > 0 THEN {notify} END";
         let values = values![
             claim.id,
             claim.attempt,
@@ -135,7 +135,7 @@ impl Store {
                 progress = CASE WHEN $3 = 'succeeded' AND NOT cancel_requested THEN 1 ELSE $5 END, gates_done = $6,
                 stage = NULL, lease_owner = NULL, lease_until = NULL, finished_at = {now}, version = version + 1
             WHERE id = $1 AND attempts = $2 AND state = 'running'
-            RETURNING state, finished_at - started_at",
+            RETURNING state, finished_at - started_at, {notify}",
         );
         let mut transaction = self.inner.database.begin().await?;
         let values = values![claim.id, claim.attempt, wanted.name(), error, last.fraction, last.gates_done as i64];
@@ -198,7 +198,7 @@ impl Store {
                 finished_at = CASE WHEN cancel_requested OR attempts >= max_attempts + {credit} THEN {{now}} END,
                 run_after = {{now}} + {} * attempts, lease_owner = NULL, lease_until = NULL, stage = NULL, version = version + 1
             WHERE state = 'running' AND {filter}
-            RETURNING id, state, input_bytes",
+            RETURNING id, state, input_bytes, {{notify}}",
             milliseconds(pause)
         );
         let mut values = values![lost];

@@ -18,7 +18,7 @@
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
 //! | `database.rs`, `schema.rs` | one SQL text on two engines |
-//! | `watch.rs` | who waits for a change of which job |
+//! | `watch.rs`, `listen.rs` | who waits for a change of which job, and who hears of those that other nodes make |
 
 mod compute;
 mod database;
@@ -27,6 +27,7 @@ mod error;
 pub mod input;
 mod job;
 mod lease;
+mod listen;
 mod progress;
 mod queue;
 mod reaper;

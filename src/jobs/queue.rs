@@ -36,7 +36,10 @@ struct QueueState {
     queued_jobs: i64,
     queued_bytes: i64,
     reserved: Load,
+    /// Workers of this process.
     workers: usize,
+    /// Jobs under way in all processes. While anything waits, every worker has one: then it is the number of workers of all nodes.
+    running: u64,
     durations_s: VecDeque<f64>,
 }
 
@@ -105,6 +108,16 @@ impl Queue {
         self.state().workers = workers.max(1);
     }
 
+    /// So many jobs are under way in all processes.
+    pub(super) fn served_in_all(&self, running: u64) {
+        self.state().running = running;
+    }
+
+    /// The jobs that all processes finished last took so long, latest first.
+    pub(super) fn measured_in_all(&self, durations_s: Vec<f64>) {
+        self.state().durations_s = durations_s.into_iter().take(MEASURED_JOBS).collect();
+    }
+
     /// A job took so long.
     pub(super) fn measured(&self, duration_s: f64) {
         let mut state = self.state();
@@ -116,7 +129,7 @@ impl Queue {
     pub(super) fn eta_queued_s(&self, position: u64) -> Option<f64> {
         let state = self.state();
         let mean_s = state.mean_duration_s()?;
-        Some((position as f64 / state.workers as f64).ceil() * mean_s)
+        Some((position as f64 / state.servers()).ceil() * mean_s)
     }
 
     /// Estimated time in s until a job is finished that has run for so long and come so far (0 to 1).
@@ -146,6 +159,11 @@ impl QueueState {
         jobs <= limit.jobs && bytes <= limit.bytes
     }
 
+    /// Workers that take from the queue, on all nodes as far as they are known to be busy.
+    fn servers(&self) -> f64 {
+        (self.workers.max(1) as f64).max(self.running as f64)
+    }
+
     fn mean_duration_s(&self) -> Option<f64> {
         let measured = self.durations_s.len();
         (measured > 0).then(|| self.durations_s.iter().sum::<f64>() / measured as f64)
@@ -153,7 +171,7 @@ impl QueueState {
 
     fn retry_after_s(&self) -> u64 {
         let mean_s = self.mean_duration_s().unwrap_or(ASSUMED_DURATION_S);
-        let drained_s = mean_s / self.workers.max(1) as f64 * self.queued_jobs.max(1) as f64;
+        let drained_s = mean_s / self.servers() * self.queued_jobs.max(1) as f64;
         drained_s.clamp(RETRY_AFTER_S.0, RETRY_AFTER_S.1).ceil() as u64
     }
 
@@ -244,6 +262,20 @@ mod tests {
         assert_eq!(queue.reserved().bytes, 100);
         place.resize(10).expect("shrinking always fits");
         assert_eq!(queue.reserved().bytes, 10);
+    }
+
+    #[test]
+    fn the_rate_is_that_of_all_nodes() {
+        let queue = queue(12, u64::MAX);
+        queue.served_by(2);
+        queue.entered(Load { jobs: 12, bytes: 12 });
+        queue.measured(9.0);
+        queue.measured_in_all(vec![2.0, 4.0]);
+        queue.served_in_all(6);
+        assert_eq!(queue.full().retry_after_s, 6, "mean 3 s x 12 jobs / 6 busy workers");
+        assert_eq!(queue.eta_queued_s(7), Some(6.0));
+        queue.served_in_all(1);
+        assert_eq!(queue.full().retry_after_s, 18, "this node's own two workers are there, busy or not");
     }
 
     #[test]

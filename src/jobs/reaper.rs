@@ -1,4 +1,4 @@
-//! Who takes back what lost workers held. Every node has one; which of them is first does not matter.
+//! Who takes back what lost workers held and counts what waits. Every node has one; which of them is first does not matter.
 
 use super::store::Store;
 use std::time::Duration;
@@ -11,21 +11,38 @@ const SHORTEST_PAUSE: Duration = Duration::from_millis(50);
 
 /// Takes back jobs whose lease is over, for ever.
 pub(super) async fn run(store: Store) {
-    let mut looks = interval((store.inner.settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE));
+    let settings = &store.inner.settings;
+    let mut looks = interval((settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE));
     looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // What waits is counted in memory; where other nodes take from it too, the rows are counted as often as they are polled.
+    let shared = store.inner.database.is_shared();
+    let mut counts = interval(settings.poll.max(SHORTEST_PAUSE));
+    counts.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
-        looks.tick().await;
-        match store.reap().await {
-            Ok(reaped) => {
-                for job in reaped {
-                    tracing::warn!(job = %job.id, state = job.state.name(), "the worker of a job was lost");
-                    metrics::counter!("ventricle_jobs_reaped_total", "state" => job.state.name()).increment(1);
-                }
+        tokio::select! {
+            _ = looks.tick() => {
+                reap(&store).await;
+                count(&store).await;
             }
-            Err(error) => tracing::warn!(%error, "lost jobs could not be looked for"),
+            _ = counts.tick(), if shared => count(&store).await,
         }
-        if let Err(error) = store.publish_counts().await {
-            tracing::warn!(%error, "the queue could not be counted");
+    }
+}
+
+async fn reap(store: &Store) {
+    match store.reap().await {
+        Ok(reaped) => {
+            for job in reaped {
+                tracing::warn!(job = %job.id, state = job.state.name(), "the worker of a job was lost");
+                metrics::counter!("ventricle_jobs_reaped_total", "state" => job.state.name()).increment(1);
+            }
         }
+        Err(error) => tracing::warn!(%error, "lost jobs could not be looked for"),
+    }
+}
+
+async fn count(store: &Store) {
+    if let Err(error) = store.publish_counts().await {
+        tracing::warn!(%error, "the queue could not be counted");
     }
 }

@@ -51,7 +51,9 @@ pub struct StoreSettings {
     pub directory_wait: Duration,
     /// How often changes made by other processes are looked for while waiting.
     pub poll: Duration,
-    /// Connections to PostgreSQL (SQLite has one).
+    /// Whether to hear of other nodes' changes by `LISTEN` (PostgreSQL), so that they are known at once instead of at the next poll.
+    pub listen: bool,
+    /// Connections to PostgreSQL besides the listening one (SQLite has one).
     pub connections: u32,
 }
 
@@ -73,6 +75,7 @@ impl Default for StoreSettings {
             // A service manager may start the next process while the last one still closes its files.
             directory_wait: Duration::from_secs(5),
             poll: Duration::from_secs(1),
+            listen: true,
             connections: 10,
         }
     }

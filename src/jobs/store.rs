@@ -5,6 +5,7 @@ use super::{
     database::{Database, Row, Transaction, values},
     error::{QueueFull, StoreError},
     job::{Blob, Counts, Deletion, Job, ListQuery, Page, State},
+    listen,
     progress::Progress,
     queue::{Load, Queue, Reservation},
     schema,
@@ -15,10 +16,10 @@ use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
-use tokio::{sync::Notify, time::Instant};
+use tokio::{sync::Notify, task::AbortHandle, time::Instant};
 use uuid::Uuid;
 
 /// Name of the blob that holds the study.
@@ -51,6 +52,22 @@ pub(super) struct Inner {
     pub(super) work_ready: Notify,
     /// What the workers of this process hold.
     running: Mutex<HashMap<Uuid, Arc<Progress>>>,
+    /// Who hears what other nodes tell.
+    listener: OnceLock<AbortHandle>,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.stop_listening();
+    }
+}
+
+impl Inner {
+    fn stop_listening(&self) {
+        if let Some(listener) = self.listener.get() {
+            listener.abort();
+        }
+    }
 }
 
 impl Store {
@@ -59,13 +76,20 @@ impl Store {
     pub async fn open(settings: StoreSettings) -> Result<Self, StoreError> {
         let database = match &settings.backend {
             Backend::Sqlite { directory } => Database::sqlite(directory, settings.directory_wait).await?,
-            Backend::Postgres { url } => Database::postgres(url, settings.connections).await?,
+            Backend::Postgres { url } => Database::postgres(url, settings.connections, settings.lease).await?,
         };
         schema::upgrade(&database).await?;
         let limit = Load { jobs: settings.max_queued_jobs, bytes: settings.max_queued_bytes };
         let queue = Arc::new(Queue::new(limit, Load::default(), recent_durations_s(&database).await?));
-        let inner =
-            Inner { database, settings, queue, watchers: Watchers::default(), work_ready: Notify::new(), running: Mutex::default() };
+        let inner = Inner {
+            database,
+            settings,
+            queue,
+            watchers: Watchers::default(),
+            work_ready: Notify::new(),
+            running: Mutex::default(),
+            listener: OnceLock::new(),
+        };
         let store = Self { inner: Arc::new(inner) };
         if !store.inner.database.is_shared() {
             let reaped = store.reap_all().await?;
@@ -75,11 +99,17 @@ impl Store {
         }
         let counts = store.counts().await?;
         store.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        store.inner.queue.served_in_all(counts.running);
+        if let (Backend::Postgres { url }, true) = (&store.inner.settings.backend, store.inner.settings.listen) {
+            let listener = tokio::spawn(listen::run(Arc::downgrade(&store.inner), url.clone()));
+            store.inner.listener.get_or_init(|| listener.abort_handle());
+        }
         Ok(store)
     }
 
     /// Closes the database. Later operations of all clones fail.
     pub async fn close(&self) {
+        self.inner.stop_listening();
         self.inner.database.close().await;
     }
 
@@ -134,7 +164,7 @@ impl Store {
         let mut transaction = database.begin().await?;
         // Each statement acts in one state only, so that a worker claiming or finishing the job meanwhile cannot make two of them act.
         let cancel = "UPDATE jobs SET state = 'cancelled', cancel_requested = TRUE, finished_at = {now}, version = version + 1
-            WHERE id = $1 AND state = 'queued' RETURNING input_bytes";
+            WHERE id = $1 AND state = 'queued' RETURNING input_bytes, {notify}";
         if let Some(row) = transaction.fetch_one(&database.render(cancel), values![id]).await? {
             let bytes = row.get::<i64>(0)?;
             self.end(&mut transaction, id).await?;
@@ -146,8 +176,8 @@ impl Store {
             return Ok(Deletion::Cancelled(job));
         }
         let request = "UPDATE jobs SET cancel_requested = TRUE, version = CASE WHEN cancel_requested THEN version ELSE version + 1 END
-            WHERE id = $1 AND state = 'running'";
-        if transaction.execute(request, values![id]).await? > 0 {
+            WHERE id = $1 AND state = 'running' RETURNING {notify}";
+        if transaction.fetch_one(&database.render(request), values![id]).await?.is_some() {
             let job = self.get_in(&mut transaction, id).await?;
             transaction.commit().await?;
             if let Some(progress) = self.running().get(&id) {
@@ -156,11 +186,11 @@ impl Store {
             self.inner.watchers.announce(id);
             return Ok(Deletion::Cancelling(job));
         }
-        let delete = "DELETE FROM jobs WHERE id = $1 AND state IN ('succeeded', 'failed', 'cancelled')";
-        let deleted = transaction.execute(delete, values![id]).await?;
+        let delete = "DELETE FROM jobs WHERE id = $1 AND state IN ('succeeded', 'failed', 'cancelled') RETURNING {notify}";
+        let deleted = transaction.fetch_one(&database.render(delete), values![id]).await?.is_some();
         transaction.commit().await?;
         self.inner.watchers.announce(id);
-        Ok(if deleted > 0 { Deletion::Deleted } else { Deletion::NotFound })
+        Ok(if deleted { Deletion::Deleted } else { Deletion::NotFound })
     }
 
     /// A result of a job by name: `report`, `surfaces.glb`, `gates/{n}/endocardial.glb`, `gates/{n}/epicardial.glb`,
@@ -222,11 +252,13 @@ impl Store {
         self.inner.database.fetch_one("SELECT version FROM schema_version", vec![]).await.map(drop)
     }
 
-    /// Tells the metrics what the rows say and, where other processes change them too, the queue.
+    /// Tells the metrics what the rows say and, where other processes change them too, the queue: what waits and how fast it moves.
     pub async fn publish_counts(&self) -> Result<(), StoreError> {
         let counts = self.counts().await?;
         if self.inner.database.is_shared() {
             self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+            self.inner.queue.served_in_all(counts.running);
+            self.inner.queue.measured_in_all(recent_durations_s(&self.inner.database).await?);
         }
         metrics::gauge!("ventricle_jobs_running").set(counts.running as f64);
         metrics::gauge!("ventricle_queue_oldest_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
@@ -292,7 +324,7 @@ pub(super) async fn insert_blob(
     transaction.execute(sql, values![job_id, name, media_type, sha256, data.len() as i64, data]).await.map(drop)
 }
 
-/// Durations in s of the jobs that succeeded last, latest first.
+/// Durations in s of the jobs that succeeded last, on whichever node, latest first.
 async fn recent_durations_s(database: &Database) -> Result<Vec<f64>, StoreError> {
     let sql = "SELECT finished_at - started_at FROM jobs WHERE state = 'succeeded' AND started_at IS NOT NULL ORDER BY id DESC LIMIT 32";
     database.fetch(sql, vec![]).await?.iter().map(|row| Ok(row.get::<i64>(0)?.max(0) as f64 / 1e3)).collect()

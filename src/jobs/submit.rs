@@ -66,7 +66,8 @@ impl NewRow {
         let sql = store.inner.database.render(
             "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
                 max_attempts, run_after, gates_total, created_at, retention_ms, callback_url)
-            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now}, $10, $11)",
+            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now}, $10, $11)
+            RETURNING {notify}",
         );
         let size = self.input.len() as i64;
         let values = values![
@@ -82,7 +83,7 @@ impl NewRow {
             self.new.retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 2)),
             self.new.callback_url,
         ];
-        transaction.execute(&sql, values).await?;
+        transaction.fetch(&sql, values).await?;
         insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await
     }
 }

@@ -1,4 +1,4 @@
-//! Who waits for a change of which job. A hint only: changes made by other processes are found by polling.
+//! Who waits for a change of which job. A hint only: changes that nobody told of are found by polling.
 
 use std::{
     collections::HashMap,
@@ -29,6 +29,13 @@ impl Watchers {
     pub(super) fn watch(&self, id: Uuid) -> Watcher<'_> {
         let receiver = self.by_job().entry(id).or_insert_with(|| watch::channel(()).0).subscribe();
         Watcher { watchers: self, id, receiver: Some(receiver) }
+    }
+
+    /// Any job may have changed.
+    pub(super) fn announce_all(&self) {
+        for sender in self.by_job().values() {
+            sender.send_replace(());
+        }
     }
 
     /// The job has changed.

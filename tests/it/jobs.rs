@@ -1,155 +1,44 @@
-//! The life of jobs in the store and with workers: on SQLite, in a directory of its own for each test, or, when `TEST_DATABASE_URL`
-//! names a PostgreSQL server (`postgres://user@host/database`), in a database of its own.
+//! The life of jobs in the store and with workers, on both engines (see `place.rs`).
 
-use ndarray::Array3;
+use crate::place::{Place, endless, new_job, on_both_engines, output, study, submit, until, until_state, work, workers};
 use sha2::{Digest, Sha256};
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, PgConnection, sqlite::SqliteConnectOptions};
+use sqlx::{ConnectOptions, Connection, sqlite::SqliteConnectOptions};
 use std::{
-    path::PathBuf,
     sync::{
         Arc,
         atomic::{AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
-use uuid::Uuid;
 use ventricle::{
     jobs::{
-        Backend, Deletion, Finish, Heartbeat, Job, ListQuery, NewJob, Outcome, Output, Progress, Snapshot, State, Store, StoreError,
-        StoreSettings, SubmitError, Submitted, Work, WorkError, WorkerSettings, Workers, start_workers,
+        Deletion, Finish, Heartbeat, ListQuery, NewJob, Outcome, Snapshot, State, Store, StoreError, StoreSettings, SubmitError, Submitted,
+        WorkError, WorkerSettings, start_workers,
     },
     pipeline::{
         monitor::{Monitor, Stage},
         parameters::Parameters,
     },
-    study::{Acquisition, Format, Gate, Study},
-    volume::{Grid, Volume},
 };
 
-/// Where the jobs of one test are kept: a directory that goes with it, or a database that stays.
-struct Place {
-    directory: PathBuf,
-    backend: Backend,
+on_both_engines! {
+    a_job_goes_from_queued_to_succeeded_with_its_results,
+    the_input_is_kept_when_asked_for,
+    the_same_key_and_request_is_the_same_job_however_many_race,
+    the_queue_is_limited_by_jobs_and_bytes_exactly,
+    a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted,
+    a_running_job_stops_within_a_second,
+    a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled,
+    what_comes_late_from_a_lost_attempt_is_refused,
+    a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on,
+    a_drain_waits_then_gives_back_uncharged,
+    a_computation_that_does_not_stop_is_left_behind_by_the_drain,
+    lists_are_newest_first_in_pages_and_filtered,
+    waiting_ends_with_a_change_the_time_or_the_job,
+    the_rate_is_measured_and_survives_a_restart,
 }
 
-impl Place {
-    /// On the engine the environment asks for.
-    #[expect(clippy::disallowed_methods, reason = "which engine is tested is a matter of the test run, not of the program's settings")]
-    async fn new() -> Self {
-        let Ok(server) = std::env::var("TEST_DATABASE_URL") else { return Self::sqlite() };
-        let name = format!("ventricle_{}", Uuid::now_v7().simple());
-        let mut connection = PgConnection::connect(&server).await.unwrap();
-        sqlx::raw_sql(AssertSqlSafe(format!("CREATE DATABASE {name}"))).execute(&mut connection).await.unwrap();
-        let (server, _) = server.rsplit_once('/').unwrap();
-        Self { backend: Backend::Postgres { url: format!("{server}/{name}") }, directory: PathBuf::new() }
-    }
-
-    /// On SQLite, for what only a store without other processes can do.
-    fn sqlite() -> Self {
-        let directory = std::env::temp_dir().join(format!("ventricle-jobs-{}", Uuid::now_v7()));
-        Self { backend: Backend::Sqlite { directory: directory.clone() }, directory }
-    }
-
-    fn settings(&self) -> StoreSettings {
-        StoreSettings { backend: self.backend.clone(), connections: 4, retry_pause: Duration::ZERO, ..StoreSettings::default() }
-    }
-
-    async fn open(&self) -> Store {
-        Store::open(self.settings()).await.unwrap()
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        if matches!(self.backend, Backend::Sqlite { .. }) {
-            std::fs::remove_dir_all(&self.directory).ok();
-        }
-    }
-}
-
-fn study() -> Study {
-    let grid = Grid { shape: [2, 3, 4], spacing_mm: [6.0, 3.0, 3.0] };
-    let gate = |gate: usize| Gate {
-        volume: Volume { grid, counts: Array3::from_shape_fn((2, 3, 4), |(z, y, x)| (gate + z + y + x) as f32) },
-        duration_ms: Some(100.0),
-    };
-    Study {
-        grid,
-        gates: (0..4).map(gate).collect(),
-        orientation: None,
-        acquisition: Acquisition::unknown(Format::Phantom),
-        warnings: Vec::new(),
-    }
-}
-
-fn new_job() -> NewJob {
-    NewJob {
-        owner: "someone".into(),
-        idempotency_key: None,
-        request_hash: [1; 32],
-        study: study(),
-        parameters: Parameters::paper(),
-        retention: None,
-        callback_url: None,
-    }
-}
-
-async fn submit(store: &Store) -> Job {
-    let submitted = store.submit(store.reserve(100).unwrap(), new_job()).await.unwrap();
-    assert!(matches!(submitted, Submitted::Created(_)));
-    submitted.job().clone()
-}
-
-fn work(work: impl Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync + 'static) -> Work {
-    Arc::new(work)
-}
-
-fn output(name: &str, data: &[u8]) -> Output {
-    Output { name: name.into(), media_type: "application/json", data: data.to_vec() }
-}
-
-/// Work that goes on until it is told to stop.
-fn endless() -> Work {
-    work(|_, _, _, progress| {
-        while !progress.is_cancelled() {
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        Err(WorkError::Cancelled)
-    })
-}
-
-fn workers(store: &Store, work: Work) -> Workers {
-    let settings = WorkerSettings {
-        threads_per_worker: 1,
-        heartbeat: Duration::from_millis(100),
-        progress_interval: Duration::from_millis(20),
-        poll: Duration::from_millis(50),
-        work,
-        ..WorkerSettings::default()
-    };
-    start_workers(store.clone(), settings).unwrap()
-}
-
-async fn until(store: &Store, id: Uuid, wanted: impl Fn(&Job) -> bool) -> Job {
-    let deadline = Instant::now() + Duration::from_secs(20);
-    let mut version = 0;
-    loop {
-        let job = store.wait_for_change(id, version, Duration::from_secs(1)).await.unwrap().unwrap();
-        if wanted(&job) {
-            return job;
-        }
-        assert!(!job.state.is_final() && Instant::now() < deadline, "the job never got there: {job:?}");
-        version = job.version;
-    }
-}
-
-async fn until_state(store: &Store, id: Uuid, state: State) -> Job {
-    until(store, id, |job| job.state == state).await
-}
-
-#[tokio::test]
-async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
-    let place = Place::new().await;
+async fn a_job_goes_from_queued_to_succeeded_with_its_results(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     assert_eq!((job.state, job.queue_position, job.attempt, job.gates_total), (State::Queued, Some(1), 0, 4));
@@ -187,9 +76,7 @@ async fn a_job_goes_from_queued_to_succeeded_with_its_results() {
     assert!(!running.alive());
 }
 
-#[tokio::test]
-async fn the_input_is_kept_when_asked_for() {
-    let place = Place::new().await;
+async fn the_input_is_kept_when_asked_for(place: &Place) {
     let store = Store::open(StoreSettings { keep_input: true, ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
@@ -198,9 +85,7 @@ async fn the_input_is_kept_when_asked_for() {
     assert_eq!(ventricle::jobs::input::decode(&input.data).unwrap(), study());
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn the_same_key_and_request_is_the_same_job_however_many_race() {
-    let place = Place::new().await;
+async fn the_same_key_and_request_is_the_same_job_however_many_race(place: &Place) {
     let store = place.open().await;
     let keyed = || NewJob { idempotency_key: Some("key".into()), ..new_job() };
     let racing = (0..8).map(|_| {
@@ -223,9 +108,7 @@ async fn the_same_key_and_request_is_the_same_job_however_many_race() {
     assert!(matches!(store.submit(store.reserve(100).unwrap(), someone_else).await, Ok(Submitted::Created(_))));
 }
 
-#[tokio::test]
-async fn the_queue_is_limited_by_jobs_and_bytes_exactly() {
-    let place = Place::new().await;
+async fn the_queue_is_limited_by_jobs_and_bytes_exactly(place: &Place) {
     let bytes = ventricle::jobs::input::encode(&study()).unwrap().len() as u64;
     let limits = StoreSettings { max_queued_jobs: 3, max_queued_bytes: 3 * bytes, ..place.settings() };
     let store = Store::open(limits.clone()).await.unwrap();
@@ -257,9 +140,7 @@ async fn the_queue_is_limited_by_jobs_and_bytes_exactly() {
     reservation.resize(bytes).unwrap();
 }
 
-#[tokio::test]
-async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted() {
-    let place = Place::new().await;
+async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     let Deletion::Cancelled(cancelled) = store.delete(job.id).await.unwrap() else { panic!("not cancelled") };
@@ -272,9 +153,7 @@ async fn a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted() {
     assert_eq!(store.delete(job.id).await.unwrap(), Deletion::NotFound);
 }
 
-#[tokio::test]
-async fn a_running_job_stops_within_a_second() {
-    let place = Place::new().await;
+async fn a_running_job_stops_within_a_second(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     let settings = WorkerSettings { work: endless(), heartbeat: Duration::from_mins(1), ..WorkerSettings::default() };
@@ -288,9 +167,7 @@ async fn a_running_job_stops_within_a_second() {
     assert_eq!(store.delete(job.id).await.unwrap(), Deletion::Deleted);
 }
 
-#[tokio::test]
-async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled() {
-    let place = Place::new().await;
+async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     let claim = store.claim("test").await.unwrap().unwrap();
@@ -302,9 +179,7 @@ async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancel
     assert_eq!(store.blob(job.id, "report").await.unwrap(), None);
 }
 
-#[tokio::test]
-async fn what_comes_late_from_a_lost_attempt_is_refused() {
-    let place = Place::new().await;
+async fn what_comes_late_from_a_lost_attempt_is_refused(place: &Place) {
     let store = Store::open(StoreSettings { lease: Duration::from_millis(30), ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let first = store.claim("first").await.unwrap().unwrap();
@@ -399,9 +274,7 @@ async fn a_restart_continues_what_was_running() {
     assert_eq!(runs.load(Ordering::Relaxed), 3);
 }
 
-#[tokio::test]
-async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on() {
-    let place = Place::new().await;
+async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on(place: &Place) {
     let store = place.open().await;
     let (bad, good, hopeless) = (submit(&store).await.id, submit(&store).await.id, submit(&store).await.id);
     let _workers = workers(
@@ -421,9 +294,7 @@ async fn a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on() {
     assert_eq!((error.code.as_str(), error.message.as_str()), ("no_border", "Gate 2 has no border."));
 }
 
-#[tokio::test]
-async fn a_drain_waits_then_gives_back_uncharged() {
-    let place = Place::new().await;
+async fn a_drain_waits_then_gives_back_uncharged(place: &Place) {
     let store = place.open().await;
     let (long, waiting) = (submit(&store).await.id, submit(&store).await.id);
     for round in 1..=5 {
@@ -448,9 +319,7 @@ async fn a_drain_waits_then_gives_back_uncharged() {
     assert_eq!(store.get(waiting).await.unwrap().unwrap().state, State::Queued, "nothing is claimed while draining");
 }
 
-#[tokio::test]
-async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain() {
-    let place = Place::new().await;
+async fn a_computation_that_does_not_stop_is_left_behind_by_the_drain(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     let deaf = workers(
@@ -523,9 +392,7 @@ async fn tamper(place: &Place, sql: &'static str) {
     connection.close().await.unwrap();
 }
 
-#[tokio::test]
-async fn lists_are_newest_first_in_pages_and_filtered() {
-    let place = Place::new().await;
+async fn lists_are_newest_first_in_pages_and_filtered(place: &Place) {
     let store = place.open().await;
     let mut ids = Vec::new();
     for number in 0..7 {
@@ -554,9 +421,7 @@ async fn lists_are_newest_first_in_pages_and_filtered() {
     assert_eq!(cancelled.iter().map(|job| job.id).collect::<Vec<_>>(), [ids[1]]);
 }
 
-#[tokio::test]
-async fn waiting_ends_with_a_change_the_time_or_the_job() {
-    let place = Place::new().await;
+async fn waiting_ends_with_a_change_the_time_or_the_job(place: &Place) {
     let store = Store::open(StoreSettings { poll: Duration::from_mins(1), ..place.settings() }).await.unwrap();
     let job = submit(&store).await;
     let began = Instant::now();
@@ -580,9 +445,7 @@ async fn waiting_ends_with_a_change_the_time_or_the_job() {
     assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
 }
 
-#[tokio::test]
-async fn the_rate_is_measured_and_survives_a_restart() {
-    let place = Place::new().await;
+async fn the_rate_is_measured_and_survives_a_restart(place: &Place) {
     let store = place.open().await;
     let job = submit(&store).await;
     assert_eq!(job.eta_seconds, None, "nothing was measured yet");

@@ -47,6 +47,37 @@ fn every_setting_is_in_the_table_as_the_program_has_it() {
     );
 }
 
+/// The files of `deploy/`, by name.
+fn deployed() -> Vec<(String, String)> {
+    let entries = fs::read_dir(root().join("deploy")).unwrap().map(|entry| entry.unwrap().path());
+    entries.map(|path| (path.file_name().unwrap().to_str().unwrap().to_owned(), fs::read_to_string(&path).unwrap())).collect()
+}
+
+#[test]
+fn what_is_deployed_names_settings_that_are_there_and_gives_time_to_stop() {
+    let command = ServeSettings::augment_args(Command::new("serve"));
+    let known: BTreeSet<String> = command.get_arguments().map(|setting| setting.get_env().unwrap().to_str().unwrap().to_owned()).collect();
+    // Draining, giving back (6 s) and last answers (5 s), as docs/operations.md tells under "Stopping".
+    let stopping_s = ServeSettings::from_flags([]).unwrap().drain_seconds + 11;
+    let files = deployed();
+    assert_eq!(files.len(), 3);
+    for (file, text) in files {
+        let named: Vec<&str> = text
+            .match_indices("VENTRICLE_")
+            .map(|(start, _)| text[start..].split(|letter: char| !letter.is_ascii_uppercase() && letter != '_').next().unwrap())
+            .collect();
+        assert!(!named.is_empty(), "{file}");
+        for name in named {
+            assert!(known.contains(name), "{file} has {name}, which is no setting");
+        }
+        let patience = ["TimeoutStopSec=", "stop_grace_period: ", "terminationGracePeriodSeconds: "]
+            .iter()
+            .find_map(|key| text.split(key).nth(1))
+            .and_then(|rest| rest.split(|letter: char| !letter.is_ascii_digit()).next()?.parse::<u64>().ok());
+        assert!(patience.is_some_and(|patience| patience > stopping_s), "{file}: {patience:?} s to stop, {stopping_s} s are needed");
+    }
+}
+
 #[test]
 fn every_metric_is_in_the_table() {
     let mut expected = BTreeSet::new();

@@ -63,6 +63,12 @@ impl Served {
         Self { child, url, agent: config.build().new_agent() }
     }
 
+    /// Sends the process a signal by name.
+    pub(crate) fn signal(&self, name: &str) {
+        let status = Command::new("kill").args([format!("-{name}"), self.child.id().to_string()]).status().unwrap();
+        assert!(status.success(), "kill -{name}: {status}");
+    }
+
     /// `kill -9`.
     pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();
@@ -95,6 +101,12 @@ impl Served {
 
     pub(crate) fn post(&self, media_type: &str, body: &[u8]) -> Answer {
         self.post_with("", media_type, body)
+    }
+
+    /// With an idempotency key.
+    pub(crate) fn post_keyed(&self, key: &str, media_type: &str, body: &[u8]) -> Answer {
+        let request = self.agent.post(format!("{}/v1/reconstructions", self.url)).header("content-type", media_type);
+        answer(request.header("idempotency-key", key).send(body).unwrap())
     }
 
     /// With parameters in the query.

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, strace for what is
-# written to disk, Node with the Khronos validator for glTF. What cannot be installed is said; its tests then skip, or fail when CI is set.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, strace for what is written to
+# disk, Node with the Khronos validator for glTF, PostgreSQL for what is stored there. What cannot be installed is said; its tests then
+# skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -15,11 +16,19 @@ command -v dciodvfy >/dev/null || missing+=(dicom3tools)
 command -v strace >/dev/null || missing+=(strace)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)
+command -v initdb >/dev/null || compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || missing+=(postgresql)
 if ((${#missing[@]})); then
   if command -v apt-get >/dev/null && as_root true; then
     echo "installing ${missing[*]}"
+    # The tests start a server of their own; the one that Debian would make and start with the package is not needed.
+    no_cluster=/etc/postgresql-common/createcluster.d/ventricle-tests.conf
+    if [[ " ${missing[*]} " == *" postgresql "* ]]; then
+      as_root mkdir -p "${no_cluster%/*}"
+      echo 'create_main_cluster = false' | as_root tee "$no_cluster" >/dev/null
+    fi
     { as_root apt-get update -qq && as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "${missing[@]}"; } \
       >/dev/null || echo "not installed: ${missing[*]} (apt-get failed)"
+    as_root rm -f "$no_cluster"
   else
     echo "not installed: ${missing[*]} (needs apt-get and root, or sudo without a password)"
   fi

@@ -1,7 +1,20 @@
 #!/usr/bin/env bash
 # Runs all tests and ends by saying what ran: a line a binary, the tests that skipped themselves, and the sum on a line of its own.
+# The tests of the store run on PostgreSQL too: on the database that TEST_DATABASE_URL names, else on a server that lives as long as this.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+
+if [[ -z ${TEST_DATABASE_URL:-} ]]; then
+  temporary=$(mktemp -d "${TMPDIR:-/tmp}/ventricle-postgres-XXXXXX")
+  # The server's user, which is not root, passes through to its own directory.
+  chmod 711 "$temporary"
+  trap 'tests/tools/postgres.sh stop "$temporary/cluster" || true; rm -rf "$temporary"' EXIT
+  trap 'exit 129' HUP
+  trap 'exit 130' INT
+  trap 'exit 143' TERM
+  # Without a server the tests that need one say so and skip themselves, or fail where CI is set.
+  if url=$(tests/tools/postgres.sh start "$temporary/cluster"); then export TEST_DATABASE_URL=$url; fi
+fi
 
 # --show-output, as a test that skips itself says so and passes; the output of other passing tests is dropped here.
 cargo test --locked --no-fail-fast "$@" -- --show-output 2>&1 | awk '
