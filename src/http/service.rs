@@ -118,6 +118,7 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         max_queued_jobs: settings.max_queued_jobs,
         max_queued_bytes: settings.max_queued_mb << 20,
         keep_input: settings.keep_input,
+        retention: settings.retention(),
         ..StoreSettings::default()
     }
 }
@@ -132,6 +133,7 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
     let state = AppState::new(store.clone())
         .with_body_limit(settings.max_body_bytes() as usize)
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
+        .with_longest_retention(settings.longest_retention())
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
     if settings.database_url.is_some() {

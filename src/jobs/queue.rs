@@ -37,6 +37,8 @@ struct QueueState {
     queued_bytes: i64,
     reserved: Load,
     workers: usize,
+    /// Jobs held by workers of all processes when the rows were last counted.
+    running: u64,
     durations_s: VecDeque<f64>,
 }
 
@@ -94,8 +96,9 @@ impl Queue {
     }
 
     /// The rows were counted: other processes change them too.
-    pub(super) fn counted(&self, queued: Load) {
+    pub(super) fn counted(&self, queued: Load, running: u64) {
         let mut state = self.state();
+        state.running = running;
         (state.queued_jobs, state.queued_bytes) = (0, 0);
         state.enter(queued);
     }
@@ -116,7 +119,7 @@ impl Queue {
     pub(super) fn eta_queued_s(&self, position: u64) -> Option<f64> {
         let state = self.state();
         let mean_s = state.mean_duration_s()?;
-        Some((position as f64 / state.workers as f64).ceil() * mean_s)
+        Some((position as f64 / state.workers_at_work()).ceil() * mean_s)
     }
 
     /// Estimated time in s until a job is finished that has run for so long and come so far (0 to 1).
@@ -151,9 +154,15 @@ impl QueueState {
         (measured > 0).then(|| self.durations_s.iter().sum::<f64>() / measured as f64)
     }
 
+    /// Workers that take from the queue. Those of other processes are known by what they hold: where jobs wait, all of them hold one.
+    fn workers_at_work(&self) -> f64 {
+        (self.workers.max(1) as u64).max(self.running) as f64
+    }
+
+    /// When all that waits now has been taken by a worker. Not when the next one has: of all who are refused meanwhile only one would find room.
     fn retry_after_s(&self) -> u64 {
         let mean_s = self.mean_duration_s().unwrap_or(ASSUMED_DURATION_S);
-        let drained_s = mean_s / self.workers.max(1) as f64 * self.queued_jobs.max(1) as f64;
+        let drained_s = mean_s / self.workers_at_work() * self.queued_jobs.max(1) as f64;
         drained_s.clamp(RETRY_AFTER_S.0, RETRY_AFTER_S.1).ceil() as u64
     }
 
@@ -255,6 +264,11 @@ mod tests {
         queue.measured(4.0);
         assert_eq!(queue.full().retry_after_s, 15, "mean 3 s x 10 jobs / 2 workers");
         assert_eq!(queue.eta_queued_s(3), Some(6.0));
+        queue.counted(Load { jobs: 10, bytes: 10 }, 6);
+        assert_eq!(queue.full().retry_after_s, 5, "six workers hold a job, four of them in other processes");
+        assert_eq!(queue.eta_queued_s(7), Some(6.0));
+        queue.counted(Load { jobs: 10, bytes: 10 }, 1);
+        assert_eq!(queue.full().retry_after_s, 15, "this process has two, busy or not");
         queue.measured(1e9);
         assert_eq!(queue.full().retry_after_s, 600);
         for _ in 0..MEASURED_JOBS {

@@ -1,4 +1,4 @@
-//! Who takes back what lost workers held. Every node has one; which of them is first does not matter.
+//! Who takes back what lost workers held and deletes what is over. Every node has one; which of them is first does not matter.
 
 use super::store::Store;
 use std::time::Duration;
@@ -9,9 +9,10 @@ const LOOKS_PER_LEASE: u32 = 3;
 /// The shortest time between two looks.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(50);
 
-/// Takes back jobs whose lease is over, for ever.
+/// Takes back jobs whose lease is over and deletes those whose time is, for ever.
 pub(super) async fn run(store: Store) {
-    let mut looks = interval((store.inner.settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE));
+    let pause = (store.inner.settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE);
+    let mut looks = interval(pause);
     looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         looks.tick().await;
@@ -26,6 +27,10 @@ pub(super) async fn run(store: Store) {
         }
         if let Err(error) = store.publish_counts().await {
             tracing::warn!(%error, "the queue could not be counted");
+        }
+        // Half of the time is the others'; what is left over waits for the next look.
+        if let Err(error) = store.tidy(pause / 2).await {
+            tracing::warn!(%error, "what is to be kept no longer could not be deleted");
         }
     }
 }

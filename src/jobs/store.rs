@@ -26,7 +26,7 @@ pub(super) const INPUT: &str = "input";
 
 /// What every read of a job selects. The place in the queue is counted only where there is one.
 const SELECT: &str = "
-    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, error,
+    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, expires_at, error,
         study_instance_uid, cancel_requested, {now} AS read_at,
         CASE WHEN state = 'queued' THEN (
             SELECT COUNT(*) FROM jobs AS ahead
@@ -74,7 +74,7 @@ impl Store {
             }
         }
         let counts = store.counts().await?;
-        store.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+        store.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes }, counts.running);
         Ok(store)
     }
 
@@ -226,7 +226,7 @@ impl Store {
     pub async fn publish_counts(&self) -> Result<(), StoreError> {
         let counts = self.counts().await?;
         if self.inner.database.is_shared() {
-            self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });
+            self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes }, counts.running);
         }
         metrics::gauge!("ventricle_jobs_running").set(counts.running as f64);
         metrics::gauge!("ventricle_queue_oldest_seconds").set(counts.oldest_queued_s.unwrap_or(0.0));
@@ -272,6 +272,7 @@ impl Store {
             created_at: time("created_at")?.ok_or_else(|| damaged("created_at"))?,
             started_at,
             finished_at: time("finished_at")?,
+            expires_at: time("expires_at")?,
             error: error.map(|text| serde_json::from_str(&text)).transpose().map_err(|_| damaged("error"))?,
             study_instance_uid: row.named("study_instance_uid")?,
             cancel_requested: row.named("cancel_requested")?,

@@ -27,15 +27,15 @@ use ventricle::{
 };
 
 /// Where the jobs of one test are kept: a directory that goes with it, or a database that stays.
-struct Place {
-    directory: PathBuf,
-    backend: Backend,
+pub(crate) struct Place {
+    pub(crate) directory: PathBuf,
+    pub(crate) backend: Backend,
 }
 
 impl Place {
     /// On the engine the environment asks for.
     #[expect(clippy::disallowed_methods, reason = "which engine is tested is a matter of the test run, not of the program's settings")]
-    async fn new() -> Self {
+    pub(crate) async fn new() -> Self {
         let Ok(server) = std::env::var("TEST_DATABASE_URL") else { return Self::sqlite() };
         let name = format!("ventricle_{}", Uuid::now_v7().simple());
         let mut connection = PgConnection::connect(&server).await.unwrap();
@@ -45,16 +45,16 @@ impl Place {
     }
 
     /// On SQLite, for what only a store without other processes can do.
-    fn sqlite() -> Self {
+    pub(crate) fn sqlite() -> Self {
         let directory = std::env::temp_dir().join(format!("ventricle-jobs-{}", Uuid::now_v7()));
         Self { backend: Backend::Sqlite { directory: directory.clone() }, directory }
     }
 
-    fn settings(&self) -> StoreSettings {
+    pub(crate) fn settings(&self) -> StoreSettings {
         StoreSettings { backend: self.backend.clone(), connections: 4, ..StoreSettings::default() }
     }
 
-    async fn open(&self) -> Store {
+    pub(crate) async fn open(&self) -> Store {
         Store::open(self.settings()).await.unwrap()
     }
 }
@@ -67,7 +67,7 @@ impl Drop for Place {
     }
 }
 
-fn study() -> Study {
+pub(crate) fn study() -> Study {
     let grid = Grid { shape: [2, 3, 4], spacing_mm: [6.0, 3.0, 3.0] };
     let gate = |gate: usize| Gate {
         volume: Volume { grid, counts: Array3::from_shape_fn((2, 3, 4), |(z, y, x)| (gate + z + y + x) as f32) },
@@ -82,7 +82,7 @@ fn study() -> Study {
     }
 }
 
-fn new_job() -> NewJob {
+pub(crate) fn new_job() -> NewJob {
     NewJob {
         owner: "someone".into(),
         idempotency_key: None,
@@ -94,17 +94,17 @@ fn new_job() -> NewJob {
     }
 }
 
-async fn submit(store: &Store) -> Job {
+pub(crate) async fn submit(store: &Store) -> Job {
     let submitted = store.submit(store.reserve(100).unwrap(), new_job()).await.unwrap();
     assert!(matches!(submitted, Submitted::Created(_)));
     submitted.job().clone()
 }
 
-fn work(work: impl Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync + 'static) -> Work {
+pub(crate) fn work(work: impl Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync + 'static) -> Work {
     Arc::new(work)
 }
 
-fn output(name: &str, data: &[u8]) -> Output {
+pub(crate) fn output(name: &str, data: &[u8]) -> Output {
     Output { name: name.into(), media_type: "application/json", data: data.to_vec() }
 }
 
@@ -118,7 +118,7 @@ fn endless() -> Work {
     })
 }
 
-fn workers(store: &Store, work: Work) -> Workers {
+pub(crate) fn workers(store: &Store, work: Work) -> Workers {
     let settings = WorkerSettings {
         threads_per_worker: 1,
         heartbeat: Duration::from_millis(100),
@@ -143,7 +143,7 @@ async fn until(store: &Store, id: Uuid, wanted: impl Fn(&Job) -> bool) -> Job {
     }
 }
 
-async fn until_state(store: &Store, id: Uuid, state: State) -> Job {
+pub(crate) async fn until_state(store: &Store, id: Uuid, state: State) -> Job {
     until(store, id, |job| job.state == state).await
 }
 

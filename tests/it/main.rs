@@ -19,6 +19,7 @@ mod pose;
 mod quality;
 mod report;
 mod restart;
+mod retention;
 mod served;
 mod shared;
 mod surfaces;
