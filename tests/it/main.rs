@@ -23,4 +23,5 @@ mod retention;
 mod served;
 mod shared;
 mod surfaces;
+mod upgrade;
 mod wall;
