@@ -12,6 +12,7 @@ use ventricle::jobs::{State, StoreSettings};
 
 const CLIENTS: u16 = 6;
 const JOBS_EACH: u16 = 3;
+const PLACES: u16 = 4;
 
 /// Submits its studies one after the other and waits as long as it is told; returns the most often it sent one.
 async fn obedient(service: &Service, client: u16, refused: &AtomicUsize) -> usize {
@@ -35,7 +36,7 @@ async fn obedient(service: &Service, client: u16, refused: &AtomicUsize) -> usiz
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_that_wait_as_told_all_get_through() {
     let go = Arc::new(AtomicBool::new(true));
-    let settings = StoreSettings { max_queued_jobs: 4, ..StoreSettings::default() };
+    let settings = StoreSettings { max_queued_jobs: PLACES.into(), ..StoreSettings::default() };
     let service = with(settings, Some(held(Arc::clone(&go))), |state| state).await;
     // One job for the rate to be known; then the worker holds the next until the queue behind it is full and clients are refused.
     service.finish(9999).await;
@@ -50,8 +51,10 @@ async fn clients_that_wait_as_told_all_get_through() {
         go.store(true, Ordering::SeqCst);
     };
     let (most, ()) = tokio::join!(clients, release);
-    // 18 jobs of a few ms through 4 places, refused clients come back after a second: to find no room then takes the bad luck of meeting.
-    assert!(most.iter().all(|&sent| sent <= 3), "times that a study was sent, by client: {most:?}");
+    // Whoever is refused found the places taken by jobs of others. If the wait is long enough for these to have left, the next refusal takes
+    // as many other jobs again, and there are only so many.
+    let refusals = usize::from((CLIENTS - 1) * JOBS_EACH / PLACES);
+    assert!(most.iter().all(|&sent| sent <= 1 + refusals), "times that a study was sent, by client: {most:?}");
     assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
     let wanted = usize::from(CLIENTS * JOBS_EACH) + 1;
     loop {
