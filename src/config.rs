@@ -3,6 +3,9 @@
 use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
+/// A hundred years: what is meant to be kept for longer is kept until it is deleted.
+const LONGEST_RETENTION_HOURS: u64 = 876_000;
+
 /// Settings of `ventricle serve`.
 #[derive(Debug, Clone, Args)]
 pub struct ServeSettings {
@@ -62,6 +65,14 @@ pub struct ServeSettings {
     /// Keeps the input of finished jobs (counts and UIDs, no names) instead of deleting it.
     #[arg(long, env = "VENTRICLE_KEEP_INPUT", value_parser = BoolishValueParser::new())]
     pub keep_input: bool,
+
+    /// Hours a finished reconstruction is kept with all its data, unless its request says otherwise; 0: until someone deletes it.
+    #[arg(long, env = "VENTRICLE_RETENTION_HOURS", default_value = "720", value_parser = clap::value_parser!(u64).range(0..=LONGEST_RETENTION_HOURS))]
+    pub retention_hours: u64,
+
+    /// Most hours that a request may ask for (`retention_seconds`).
+    #[arg(long, env = "VENTRICLE_MAX_RETENTION_HOURS", default_value = "8760", value_parser = clap::value_parser!(u64).range(1..=LONGEST_RETENTION_HOURS))]
+    pub max_retention_hours: u64,
 
     /// Seconds a request body may take to arrive; then 408.
     #[arg(long, env = "VENTRICLE_UPLOAD_SECONDS", default_value = "120", value_parser = clap::value_parser!(u64).range(1..=3600))]
@@ -134,6 +145,17 @@ pub enum ConfigError {
         /// Largest queue in MiB.
         queued: u64,
     },
+    /// What is kept by default is more than may be asked for.
+    #[error(
+        "Reconstructions would be kept for {retention} h, but a request may ask for {max} h at most: give at least as much to \
+         --max-retention-hours, or less to --retention-hours."
+    )]
+    RetentionOverCap {
+        /// Hours by default.
+        retention: u64,
+        /// Most hours by request.
+        max: u64,
+    },
     /// Log directives that cannot be read.
     #[error("`{directives}` does not say what to log: {why}.")]
     LogDirectives {
@@ -170,7 +192,20 @@ impl ServeSettings {
         if self.max_queued_mb < self.max_body_mb {
             return Err(ConfigError::QueueSmallerThanBody { body: self.max_body_mb, queued: self.max_queued_mb });
         }
+        if self.retention_hours > self.max_retention_hours {
+            return Err(ConfigError::RetentionOverCap { retention: self.retention_hours, max: self.max_retention_hours });
+        }
         Ok(())
+    }
+
+    /// How long finished jobs are kept whose requests do not say; `None`: until someone deletes them.
+    pub fn retention(&self) -> Option<Duration> {
+        (self.retention_hours > 0).then(|| Duration::from_hours(self.retention_hours))
+    }
+
+    /// Longest a request may ask for.
+    pub fn longest_retention(&self) -> Duration {
+        Duration::from_hours(self.max_retention_hours)
     }
 
     /// Which web pages may call the service.
@@ -247,6 +282,7 @@ mod tests {
         assert!(settings.listen.ip().is_loopback());
         assert_eq!(settings.cors(), Cors::Off);
         assert_eq!(settings.max_body_bytes(), 64 << 20);
+        assert_eq!(settings.retention(), Some(Duration::from_hours(30 * 24)));
     }
 
     #[test]
@@ -285,7 +321,18 @@ mod tests {
     }
 
     #[test]
+    fn what_is_kept_for_ever_has_no_end() {
+        let settings = settings(&["--retention-hours", "0", "--max-retention-hours", "1"]);
+        settings.validate().unwrap();
+        assert_eq!((settings.retention(), settings.longest_retention()), (None, Duration::from_hours(1)));
+    }
+
+    #[test]
     fn what_could_never_work_is_refused() {
+        assert!(matches!(
+            settings(&["--max-retention-hours", "24"]).validate(),
+            Err(ConfigError::RetentionOverCap { retention: 720, max: 24 })
+        ));
         assert_eq!(settings(&["--database-url", "mysql://x"]).validate(), Err(ConfigError::NotPostgres));
         assert!(matches!(settings(&["--max-queued-mb", "32"]).validate(), Err(ConfigError::QueueSmallerThanBody { .. })));
         assert!(ServeSettings::from_flags(["--workers", "0"]).is_err());

@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
+/// Shortest `retention_seconds`: whoever waits for a job is told to look every 30 s, and must find its end there.
+pub const SHORTEST_RETENTION_S: u64 = 60;
+
 /// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level` and `region` are of both presets,
 /// `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
 /// by name, unless it is the default.
@@ -48,6 +51,11 @@ pub struct Request {
     /// The model of the camera. Only with the preset `clinical`.
     #[schema(inline)]
     pub refine: Option<Refine>,
+    /// Not for the reconstruction but for its job: seconds it is kept after its end, with all its data; then it is deleted. Left out it is kept as
+    /// long as the service keeps all. The longest this service allows is the `maximum` in `GET /v1/parameters`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 60)]
+    pub retention_seconds: Option<u64>,
 }
 
 /// Named sets of values.
@@ -378,10 +386,20 @@ fn sentence(complaints: &[Complaint]) -> String {
     complaints.iter().map(|complaint| complaint.detail.as_str()).collect::<Vec<_>>().join(" ")
 }
 
-/// Reads parameters from JSON: refuses unknown fields and values out of range, all at once and by name. `null` counts as left out.
+/// Reads parameters from JSON: refuses unknown fields and values out of range, all at once and by name. `null` counts as left out. What only a
+/// job has is refused too.
 pub fn parse(value: &Value) -> Result<Request, ParameterError> {
+    parse_by(value, &check::schema(None))
+}
+
+/// Reads the parameters of a job that may be kept for so long, in s.
+pub fn parse_for_job(value: &Value, longest_retention_s: u64) -> Result<Request, ParameterError> {
+    parse_by(value, &check::schema(Some(longest_retention_s)))
+}
+
+fn parse_by(value: &Value, schema: &Value) -> Result<Request, ParameterError> {
     let mut complaints = Vec::new();
-    check::check(value, &check::schema(), "", &mut complaints);
+    check::check(value, schema, "", &mut complaints);
     if !complaints.is_empty() {
         complaints.truncate(MOST_COMPLAINTS);
         return Err(ParameterError { complaints });
@@ -412,7 +430,7 @@ mod tests {
 
     #[test]
     fn documented_defaults_are_the_values_used() {
-        let described = describe();
+        let described = describe(None);
         assert!((18..MOST_COMPLAINTS).contains(&described.len()), "{described:#?}");
         for (name, preset) in [("clinical", chosen::Parameters::clinical()), ("paper", chosen::Parameters::paper())] {
             let used = serde_json::to_value(preset).unwrap();
@@ -432,7 +450,7 @@ mod tests {
 
     #[test]
     fn each_parameter_names_the_presets_it_is_of() {
-        let of = |pointer: &str| describe().into_iter().find(|field| field.pointer == pointer).unwrap().presets;
+        let of = |pointer: &str| describe(None).into_iter().find(|field| field.pointer == pointer).unwrap().presets;
         assert_eq!(of("/mesh/level"), ["clinical", "paper"]);
         assert_eq!(of("/region/centre_mm"), ["clinical", "paper"]);
         assert_eq!(of("/pose/apex_mm"), ["clinical"]);
@@ -615,9 +633,34 @@ mod tests {
 
     #[test]
     fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        for sent in [json!({"metadata": {}}), json!({"retention_seconds": 60}), json!({"callback_url": "http://127.0.0.1/"})] {
+        for sent in [json!({"metadata": {}}), json!({"callback_url": "http://127.0.0.1/"})] {
             assert_eq!(refused(&sent)[0].0, "unavailable_parameter", "{sent}");
         }
+    }
+
+    #[test]
+    fn a_job_is_kept_as_long_as_is_asked_within_the_cap_and_the_numbers_know_nothing_of_it() {
+        let parsed = |sent: Value| parse_for_job(&sent, 7200);
+        let request = parsed(json!({"mesh": {"level": 2}, "retention_seconds": 7200})).unwrap();
+        assert_eq!(request.retention_seconds, Some(7200));
+        assert_eq!(resolve(request).unwrap(), resolve(parsed(json!({"mesh": {"level": 2}})).unwrap()).unwrap());
+        assert_eq!(parsed(json!({"retention_seconds": null})).unwrap().retention_seconds, None);
+        assert_eq!(parsed(json!({"retention_seconds": SHORTEST_RETENTION_S})).unwrap().retention_seconds, Some(60));
+        for wrong in [json!(7201), json!(59), json!(0), json!(-1), json!(u64::MAX), json!(1.5), json!("long"), json!(1e300)] {
+            let error = parsed(json!({"retention_seconds": wrong.clone()})).unwrap_err();
+            let complaint = &error.complaints[0];
+            assert_eq!((complaint.code, complaint.pointer.as_str()), ("invalid_parameter", "/retention_seconds"), "{wrong}");
+        }
+        let error = parsed(json!({"retention_seconds": 7201})).unwrap_err();
+        assert_eq!(error.to_string(), "`retention_seconds` is 7201; allowed is 60 to 7200.");
+        let described = describe(Some(7200)).into_iter().find(|field| field.pointer == "/retention_seconds").unwrap();
+        assert_eq!((described.minimum, described.maximum, described.default), (Some(60.0), Some(7200.0), None));
+    }
+
+    #[test]
+    fn where_no_job_is_kept_nothing_can_be_said_of_its_keeping() {
+        assert_eq!(refused(&json!({"retention_seconds": 60})), [("unavailable_parameter", "/retention_seconds".to_owned())]);
+        assert!(!describe(None).iter().any(|field| field.pointer == "/retention_seconds"));
     }
 
     #[test]

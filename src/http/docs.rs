@@ -87,11 +87,11 @@ pub(super) struct Presets {
     get, path = "/v1/parameters", operation_id = "listParameters", tag = "parameters",
     responses((status = 200, description = "All parameters", body = ParameterList)),
 )]
-pub(super) async fn list_parameters() -> Json<ParameterList> {
+pub(super) async fn list_parameters(State(state): State<AppState>) -> Json<ParameterList> {
     Json(ParameterList {
         defaults: Parameters::clinical(),
         presets: Presets { clinical: Parameters::clinical(), paper: Parameters::paper() },
-        parameters: parameters::describe(),
+        parameters: parameters::describe(Some(state.longest_retention.as_secs())),
     })
 }
 

@@ -38,6 +38,8 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 const PARSED_AT_ONCE: usize = 2;
 /// Time an answer may take: the longest wait a client can ask for, and as much again as a loaded disk needs.
 const ANSWER_TIME: Duration = Duration::from_secs(45);
+/// Longest a client may have its job kept, if nothing else is said: a year.
+const LONGEST_RETENTION: Duration = Duration::from_hours(365 * 24);
 
 /// What handlers share. Clones are cheap.
 #[derive(Clone)]
@@ -45,6 +47,7 @@ pub struct AppState {
     store: Store,
     limits: Arc<intake::Limits>,
     upload_time: Duration,
+    longest_retention: Duration,
     parsers: Arc<Semaphore>,
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
@@ -68,6 +71,7 @@ impl AppState {
             store,
             limits: Arc::default(),
             upload_time: Duration::from_mins(2),
+            longest_retention: LONGEST_RETENTION,
             parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
             workers_alive: Arc::new(|| true),
             disk: None,
@@ -89,6 +93,12 @@ impl AppState {
     #[must_use]
     pub fn with_upload_time(self, upload_time: Duration) -> Self {
         Self { upload_time, ..self }
+    }
+
+    /// With another limit on how long a client may have its job kept.
+    #[must_use]
+    pub fn with_longest_retention(self, longest_retention: Duration) -> Self {
+        Self { longest_retention, ..self }
     }
 
     /// With someone who knows whether the workers run.

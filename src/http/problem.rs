@@ -116,7 +116,7 @@ impl Problem {
 
     /// No such job.
     pub(super) fn no_such_reconstruction(id: Uuid) -> Self {
-        let detail = format!("There is no reconstruction {id}. It never existed or was deleted.");
+        let detail = format!("There is no reconstruction {id}. It never existed, was deleted, or has expired.");
         Self::new(StatusCode::NOT_FOUND, "not_found", detail)
     }
 
@@ -222,6 +222,7 @@ impl From<SubmitError> for Problem {
     fn from(error: SubmitError) -> Self {
         match error {
             SubmitError::KeyReused => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "idempotency_key_reused", error.to_string()),
+            SubmitError::TooLarge { .. } => Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", error.to_string()),
             SubmitError::QueueFull(full) => full.into(),
             SubmitError::Store(error) => error.into(),
         }

@@ -99,7 +99,7 @@ pub(super) struct JsonGrid {
 /// The body is recognised by its content; the `Content-Type` decides only where the content does not say, and for multipart. What is
 /// wrong with the file or the parameters is answered at once (4xx); 202 means that the job is stored on disk and will be worked on, whatever
 /// happens to the service. Send an `Idempotency-Key` to be able to repeat a request safely: the same key with the same request gives the
-/// same job.
+/// same job, as long as that is there: when it was deleted or has expired, the key is free again.
 #[utoipa::path(
     post, path = "/v1/reconstructions", operation_id = "submitReconstruction", tag = "reconstructions",
     params(
@@ -142,7 +142,9 @@ pub(super) async fn submit(
     let bytes = body::read(body, reservation.bytes(), state.upload_time).await?;
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
-    let new = state.parse(move |limits| receive(content_type.as_deref(), bytes, query, idempotency_key, limits)).await?;
+    let longest_retention_s = state.longest_retention.as_secs();
+    let new =
+        state.parse(move |limits| receive(content_type.as_deref(), bytes, query, idempotency_key, limits, longest_retention_s)).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
@@ -166,6 +168,7 @@ fn receive(
     mut query: Vec<(String, String)>,
     idempotency_key: Option<String>,
     limits: &intake::Limits,
+    longest_retention_s: u64,
 ) -> Result<NewJob, Problem> {
     let upload = Upload::new(content_type, bytes)?;
     let request_hash = upload.hash(&query);
@@ -182,19 +185,12 @@ fn receive(
             "The query gives `spacing_mm`, but the study says itself how far apart its voxels are. Leave it out: it is for NPY alone.";
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
     }
-    let parameters = parameters::parse(&merged_parameters(received.parameters, upload.parameters, query))?;
-    let parameters = parameters::resolve(parameters)?;
+    let request = parameters::parse_for_job(&merged_parameters(received.parameters, upload.parameters, query), longest_retention_s)?;
+    let retention = request.retention_seconds.map(Duration::from_secs);
+    let parameters = parameters::resolve(request)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
     pose::check_marks(&received.study.grid, &parameters.pose)?;
-    Ok(NewJob {
-        owner: OWNER.to_owned(),
-        idempotency_key,
-        request_hash,
-        study: received.study,
-        parameters,
-        retention: None,
-        callback_url: None,
-    })
+    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url: None })
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.

@@ -120,6 +120,7 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         keep_input: settings.keep_input,
         lease: settings.lease(),
         connections: settings.database_connections,
+        retention: settings.retention(),
         ..StoreSettings::default()
     }
 }
@@ -140,6 +141,7 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
     let state = AppState::new(store.clone())
         .with_body_limit(settings.max_body_bytes() as usize)
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
+        .with_longest_retention(settings.longest_retention())
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
     if settings.database_url.is_some() {

@@ -26,7 +26,8 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
     "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11", "state": "running",
     "progress": {"fraction": 0.42, "stage": "model_fit", "gates_done": 3, "gates_total": 8},
     "queue_position": null, "eta_seconds": 1.8, "attempt": 1, "cancel_requested": false, "study_instance_uid": null,
-    "created_at": "2026-01-02T03:04:05Z", "started_at": "2026-01-02T03:04:06Z", "finished_at": null, "error": null,
+    "created_at": "2026-01-02T03:04:05Z", "started_at": "2026-01-02T03:04:06Z", "finished_at": null, "expires_at": null,
+    "error": null,
     "links": {
         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
@@ -64,6 +65,9 @@ pub struct JobView {
     /// When it reached its final state.
     #[schema(required, format = DateTime)]
     pub finished_at: Option<String>,
+    /// When it is deleted with all its data; null while it is not finished, and where it is kept until someone deletes it.
+    #[schema(required, format = DateTime)]
+    pub expires_at: Option<String>,
     /// Why it failed; null unless `state` is `failed`.
     #[schema(required)]
     pub error: Option<Problem>,
@@ -173,6 +177,7 @@ impl From<&Job> for JobView {
             created_at: job.created_at.to_string(),
             started_at: job.started_at.map(|time| time.to_string()),
             finished_at: job.finished_at.map(|time| time.to_string()),
+            expires_at: job.expires_at.map(|time| time.to_string()),
             error: job.error.as_ref().map(Problem::from),
             links: Links {
                 events: format!("{this}/events"),

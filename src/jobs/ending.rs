@@ -6,7 +6,11 @@ use super::{
     error::StoreError,
     store::{INPUT, Store},
 };
+use std::time::Duration;
 use uuid::Uuid;
+
+/// A thousand years in ms: more than anyone asks for, and the sum with any date is a date.
+const LONGEST_KEPT_MS: i64 = 1000 * 365 * 24 * 3600 * 1000;
 
 impl Store {
     /// To be called in every transaction that ends a job.
@@ -14,7 +18,7 @@ impl Store {
         if !self.inner.settings.keep_input {
             transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
         }
-        let kept_ms = self.inner.settings.retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 2));
+        let kept_ms = self.inner.settings.retention.map(kept_ms);
         let expires = "UPDATE jobs SET expires_at = finished_at + COALESCE(retention_ms, $2) WHERE id = $1";
         transaction.execute(expires, values![id, kept_ms]).await?;
         let sql = self.inner.database.render(
@@ -23,4 +27,9 @@ impl Store {
         );
         transaction.execute(&sql, values![id, Uuid::now_v7()]).await.map(drop)
     }
+}
+
+/// A time to be kept as the rows have it.
+pub(super) fn kept_ms(retention: Duration) -> i64 {
+    i64::try_from(retention.as_millis()).map_or(LONGEST_KEPT_MS, |ms| ms.min(LONGEST_KEPT_MS))
 }

@@ -16,7 +16,15 @@ pub enum SubmitError {
     /// The owner used this idempotency key before, for another request.
     #[error("This idempotency key was already used for a different request. Use a new key for a new request.")]
     KeyReused,
-    /// No room for the job.
+    /// There will never be room for the job: it alone is more than may wait.
+    #[error("The study takes {bytes} bytes as it is stored, and all that waits may take {limit}. Send fewer gates, or a smaller matrix.")]
+    TooLarge {
+        /// Bytes of its stored form.
+        bytes: u64,
+        /// Most bytes that may wait.
+        limit: u64,
+    },
+    /// No room for the job now.
     #[error(transparent)]
     QueueFull(#[from] QueueFull),
     /// The store failed; nothing was accepted.

@@ -85,6 +85,8 @@ pub struct Job {
     pub started_at: Option<Timestamp>,
     /// When the job reached its final state.
     pub finished_at: Option<Timestamp>,
+    /// When the job is deleted with all its data; absent while it is not finished, and where it is kept until someone deletes it.
+    pub expires_at: Option<Timestamp>,
     /// Why the job failed.
     pub error: Option<JobError>,
     /// DICOM Study Instance UID of the input, if it had one.
@@ -106,7 +108,7 @@ pub struct NewJob {
     pub study: Study,
     /// The resolved parameters.
     pub parameters: Parameters,
-    /// How long the job is kept after its end, if not as long as others.
+    /// How long the job is kept after its end, if not as long as others ([`super::StoreSettings::retention`]).
     pub retention: Option<std::time::Duration>,
     /// Who is told of its end.
     pub callback_url: Option<String>,

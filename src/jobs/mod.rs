@@ -13,7 +13,7 @@
 //! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
-//! | `ending.rs` | what follows when a job ends |
+//! | `ending.rs`, `expiry.rs` | what follows when a job ends; what is deleted when its time is over |
 //! | `progress.rs` | how a running reconstruction is watched and stopped |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
@@ -24,6 +24,7 @@ mod compute;
 mod database;
 mod ending;
 mod error;
+mod expiry;
 pub mod input;
 mod job;
 mod lease;

@@ -169,6 +169,7 @@ impl QueueState {
         (measured > 0).then(|| self.durations_s.iter().sum::<f64>() / measured as f64)
     }
 
+    /// When all that waits now has been taken by a worker. Not when the next one has: of all who are refused meanwhile only one would find room.
     fn retry_after_s(&self) -> u64 {
         let mean_s = self.mean_duration_s().unwrap_or(ASSUMED_DURATION_S);
         let drained_s = mean_s / self.servers() * self.queued_jobs.max(1) as f64;
@@ -287,6 +288,13 @@ mod tests {
         queue.measured(4.0);
         assert_eq!(queue.full().retry_after_s, 15, "mean 3 s x 10 jobs / 2 workers");
         assert_eq!(queue.eta_queued_s(3), Some(6.0));
+        queue.counted(Load { jobs: 10, bytes: 10 });
+        queue.served_in_all(6);
+        assert_eq!(queue.full().retry_after_s, 5, "six workers hold a job, four of them in other processes");
+        assert_eq!(queue.eta_queued_s(7), Some(6.0));
+        queue.counted(Load { jobs: 10, bytes: 10 });
+        queue.served_in_all(1);
+        assert_eq!(queue.full().retry_after_s, 15, "this process has two, busy or not");
         queue.measured(1e9);
         assert_eq!(queue.full().retry_after_s, 600);
         for _ in 0..MEASURED_JOBS {

@@ -1,4 +1,5 @@
-//! Who takes back what lost workers held and counts what waits. Every node has one; which of them is first does not matter.
+//! Who takes back what lost workers held, counts what waits and deletes what is over. Every node has one; which of them is first does
+//! not matter.
 
 use super::store::Store;
 use std::time::Duration;
@@ -9,10 +10,11 @@ const LOOKS_PER_LEASE: u32 = 3;
 /// The shortest time between two looks.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(50);
 
-/// Takes back jobs whose lease is over, for ever.
+/// Takes back jobs whose lease is over and deletes those whose time is, for ever.
 pub(super) async fn run(store: Store) {
     let settings = &store.inner.settings;
-    let mut looks = interval((settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE));
+    let pause = (settings.lease / LOOKS_PER_LEASE).max(SHORTEST_PAUSE);
+    let mut looks = interval(pause);
     looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // What waits is counted in memory; where other nodes take from it too, the rows are counted as often as they are polled.
     let shared = store.inner.database.is_shared();
@@ -23,6 +25,10 @@ pub(super) async fn run(store: Store) {
             _ = looks.tick() => {
                 reap(&store).await;
                 count(&store).await;
+                // Half of the time is the others'; what is left over waits for the next look.
+                if let Err(error) = store.tidy(pause / 2).await {
+                    tracing::warn!(%error, "what is to be kept no longer could not be deleted");
+                }
             }
             _ = counts.tick(), if shared => count(&store).await,
         }

@@ -19,3 +19,5 @@ CREATE TABLE deliveries (
 );
 
 CREATE INDEX deliveries_by_state ON deliveries (state, run_after);
+-- Deleting a job deletes its deliveries: without this, by reading all of them.
+CREATE INDEX deliveries_by_job ON deliveries (job_id);

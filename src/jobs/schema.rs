@@ -8,8 +8,13 @@ use super::{
 /// The steps from nothing to the present schema; step `n` makes version `n + 1`. Released steps are never changed.
 const STEPS: [&str; 2] = [include_str!("schema.sql"), include_str!("schema-2.sql")];
 
-/// What PostgreSQL alone needs: blobs are compressed formats or noise, so trying to compress them costs time only.
-const POSTGRES_STORAGE: &str = "ALTER TABLE blobs ALTER COLUMN data SET STORAGE EXTERNAL";
+/// What PostgreSQL alone needs at each step.
+const POSTGRES_STEPS: [&str; 2] = [
+    // Blobs are compressed formats or noise, so trying to compress them costs time only.
+    "ALTER TABLE blobs ALTER COLUMN data SET STORAGE EXTERNAL",
+    // Where inputs come and go, a fifth of all results (the default) is much to leave dead. A thirtieth is at most a day's, with results of a month.
+    "ALTER TABLE blobs SET (autovacuum_vacuum_scale_factor = 0.03, toast.autovacuum_vacuum_scale_factor = 0.03)",
+];
 
 /// Brings the database to the present schema; does nothing if it is there.
 pub(super) async fn upgrade(database: &Database) -> Result<(), StoreError> {
@@ -21,11 +26,11 @@ pub(super) async fn upgrade(database: &Database) -> Result<(), StoreError> {
     if found > known {
         return Err(StoreError::SchemaTooNew { found, known });
     }
-    for step in STEPS.into_iter().skip(usize::try_from(found).unwrap_or(0)) {
+    for (step, postgres) in STEPS.into_iter().zip(POSTGRES_STEPS).skip(usize::try_from(found).unwrap_or(0)) {
         transaction.execute_script(&database.render(step)).await?;
-    }
-    if found == 0 && database.is_shared() {
-        transaction.execute_script(POSTGRES_STORAGE).await?;
+        if database.is_shared() {
+            transaction.execute_script(postgres).await?;
+        }
     }
     transaction.execute("DELETE FROM schema_version", vec![]).await?;
     transaction.execute("INSERT INTO schema_version (version) VALUES ($1)", values![known]).await?;

@@ -27,7 +27,7 @@ pub(super) const INPUT: &str = "input";
 
 /// What every read of a job selects. The place in the queue is counted only where there is one.
 const SELECT: &str = "
-    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, error,
+    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, expires_at, error,
         study_instance_uid, cancel_requested, {now} AS read_at,
         CASE WHEN state = 'queued' THEN (
             SELECT COUNT(*) FROM jobs AS ahead
@@ -304,6 +304,7 @@ impl Store {
             created_at: time("created_at")?.ok_or_else(|| damaged("created_at"))?,
             started_at,
             finished_at: time("finished_at")?,
+            expires_at: time("expires_at")?,
             error: error.map(|text| serde_json::from_str(&text)).transpose().map_err(|_| damaged("error"))?,
             study_instance_uid: row.named("study_instance_uid")?,
             cancel_requested: row.named("cancel_requested")?,

@@ -2,6 +2,7 @@
 
 use super::{
     database::{Transaction, values},
+    ending::kept_ms,
     error::{StoreError, SubmitError},
     input,
     job::{NewJob, Submitted},
@@ -28,6 +29,9 @@ impl Store {
             && let Some(existing) = existing(&mut transaction, &owner, key, &hash).await?
         {
             return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
+        }
+        if bytes > self.inner.queue.limit().bytes {
+            return Err(SubmitError::TooLarge { bytes, limit: self.inner.queue.limit().bytes });
         }
         reservation.resize(bytes)?;
         let queued = queued(&mut transaction).await?;
@@ -80,7 +84,7 @@ impl NewRow {
             size,
             i64::from(store.inner.settings.max_attempts),
             self.new.study.gates.len() as i64,
-            self.new.retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 2)),
+            self.new.retention.map(kept_ms),
             self.new.callback_url,
         ];
         transaction.fetch(&sql, values).await?;

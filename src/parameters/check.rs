@@ -7,11 +7,21 @@ use utoipa::PartialSchema;
 
 /// Fields that the published contract names and this version does not have yet: a client that sends one is told so, and not that it does not
 /// exist.
-const NOT_YET_AVAILABLE: [&str; 3] = ["/metadata", "/retention_seconds", "/callback_url"];
+const NOT_YET_AVAILABLE: [&str; 2] = ["/metadata", "/callback_url"];
+/// The field that is about the job and not about its numbers.
+const RETENTION: &str = "retention_seconds";
 
-/// The schema of [`Request`] as plain JSON, without references.
-pub(super) fn schema() -> Value {
-    serde_json::to_value(Request::schema()).unwrap_or_default()
+/// The schema of [`Request`] as plain JSON, without references: for a job that may be kept for so long, in s, or for a reconstruction that is
+/// nobody's job.
+pub(super) fn schema(longest_retention_s: Option<u64>) -> Value {
+    let mut schema = serde_json::to_value(Request::schema()).unwrap_or_default();
+    if let Some(fields) = schema["properties"].as_object_mut() {
+        match longest_retention_s {
+            Some(longest_s) => fields[RETENTION]["maximum"] = longest_s.into(),
+            None => drop(fields.remove(RETENTION)),
+        }
+    }
+    schema
 }
 
 /// The alternative of an optional field that is not `null`.
@@ -35,9 +45,6 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
         return;
     }
     let mut complain = |code, pointer: &str, detail: String| complaints.push(Complaint { code, pointer: pointer.to_owned(), detail });
-    if let Some(detail) = not_yet_available(pointer) {
-        return complain("unavailable_parameter", pointer, detail);
-    }
     let schema = not_null(schema);
     let (kind, name) = (kind(schema), dotted(pointer));
     if !is_a(value, kind) {
@@ -89,6 +96,9 @@ fn unknown(pointer: &str, schema: &Value) -> Complaint {
 }
 
 fn not_yet_available(pointer: &str) -> Option<String> {
+    if pointer.strip_prefix('/') == Some(RETENTION) {
+        return Some(format!("{} is for jobs of the service, which keeps them; here it changes nothing. Leave it out.", dotted(pointer)));
+    }
     let known = NOT_YET_AVAILABLE.contains(&pointer);
     known.then(|| format!("{} is not available in this version; leave it out.", dotted(pointer)))
 }

@@ -37,10 +37,11 @@ pub struct Description {
     pub values: Option<Vec<Value>>,
 }
 
-/// Every parameter with its documentation, in the order of the schema.
-pub fn describe() -> Vec<Description> {
+/// Every parameter with its documentation, in the order of the schema: of a job that may be kept for so long, in s, or of a reconstruction that
+/// is nobody's job.
+pub fn describe(longest_retention_s: Option<u64>) -> Vec<Description> {
     let mut out = Vec::new();
-    describe_fields(&schema(), "", &mut out);
+    describe_fields(&schema(longest_retention_s), "", &mut out);
     out
 }
 

@@ -13,7 +13,9 @@ const PLANE_TIME_STEP_S: f64 = 0.05;
 /// The parameters of the pipeline: the preset's values where the request is silent.
 ///
 /// Errors: [`ParameterError`] names what is out of range, and what does not go together.
-pub fn resolve(request: Request) -> Result<chosen::Parameters, ParameterError> {
+pub fn resolve(mut request: Request) -> Result<chosen::Parameters, ParameterError> {
+    // Of the job, not of the numbers.
+    request.retention_seconds = None;
     let written = serde_json::to_value(&request).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))?;
     parse(&written)?;
     let mut out = match request.preset.unwrap_or(Preset::Clinical) {

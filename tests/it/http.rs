@@ -4,6 +4,8 @@ mod following;
 mod harness;
 mod operating;
 mod presets;
+mod pressure;
 mod refusing;
+mod retention;
 mod socket;
 mod submitting;

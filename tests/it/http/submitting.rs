@@ -104,7 +104,7 @@ async fn parameters_come_by_part_and_query_and_are_named_when_wrong() {
     let errors: Vec<_> = problem["errors"].as_array().unwrap().iter().map(|error| (&error["code"], &error["pointer"])).collect();
     assert!(errors.contains(&(&json!("invalid_parameter"), &json!("/edges/sigma"))), "{problem}");
     assert!(errors.contains(&(&json!("unknown_parameter"), &json!("/colour"))), "{problem}");
-    send("?retention_seconds=60", "{}").await.problem(422, "unavailable_parameter");
+    send("?callback_url=https://a.example", "{}").await.problem(422, "unavailable_parameter");
     send("?nothing=1", "{}").await.problem(422, "unknown_parameter");
     send("", "{").await.problem(400, "malformed_parameters");
     let body = json!({"grid": self::study_grid(), "dtype": "uint16", "counts": "", "parameters": {"mesh": {"level": 9}}});
