@@ -7,7 +7,7 @@ use utoipa::PartialSchema;
 
 /// Fields that the published contract names and this version does not have yet: a client that sends one is told so, and not that it does not
 /// exist.
-const NOT_YET_AVAILABLE: [&str; 3] = ["/metadata", "/retention_seconds", "/callback_url"];
+const NOT_YET_AVAILABLE: [&str; 2] = ["/metadata", "/retention_seconds"];
 
 /// The schema of [`Request`] as plain JSON, without references.
 pub(super) fn schema() -> Value {

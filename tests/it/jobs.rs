@@ -1,6 +1,8 @@
 //! The life of jobs in the store and with workers: on SQLite, in a directory of its own for each test, or, when `TEST_DATABASE_URL`
 //! names a PostgreSQL server (`postgres://user@host/database`), in a database of its own.
 
+mod callbacks;
+
 use ndarray::Array3;
 use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, PgConnection, sqlite::SqliteConnectOptions};
