@@ -38,7 +38,7 @@ fn bits(address: IpAddr) -> (u128, u32) {
 
 /// IANA IPv4 Special-Purpose Address Registry (RFC 6890), and multicast (RFC 5771).
 const SPECIAL_V4: [(Ipv4Addr, u8, &str); 15] = [
-    (Ipv4Addr::new(0, 0, 0, 0), 8, "unspecified"),
+    (Ipv4Addr::UNSPECIFIED, 8, "unspecified"),
     (Ipv4Addr::new(10, 0, 0, 0), 8, "private"),
     (Ipv4Addr::new(100, 64, 0, 0), 10, "shared with a carrier (CGNAT)"),
     (Ipv4Addr::new(127, 0, 0, 0), 8, "loopback"),

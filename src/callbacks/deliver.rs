@@ -152,7 +152,7 @@ impl Courier {
         match self.store.settle_delivery(&claim, &settled).await {
             Ok(true) => {}
             Ok(false) => {
-                tracing::warn!(delivery = %claim.id, "a callback was no longer this node's: its lease was over, or its job is deleted")
+                tracing::warn!(delivery = %claim.id, "a callback was no longer this node's: its lease was over, or its job is deleted");
             }
             Err(error) => tracing::warn!(%error, delivery = %claim.id, "the end of a callback could not be stored; its lease will lapse"),
         }

@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn both_forms_of_retry_after_are_read() {
-        assert_eq!(retry_after("120"), Some(Duration::from_secs(120)));
+        assert_eq!(retry_after("120"), Some(Duration::from_mins(2)));
         assert_eq!(retry_after("soon"), None);
         assert_eq!(retry_after("-1"), None);
         assert_eq!(retry_after("Sun, 06 Nov 1994 08:49:37 GMT"), None, "long ago");

@@ -219,6 +219,7 @@ async fn a_callback_comes_once_and_signed_without_what_belongs_to_the_patient() 
     assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None);
     let [seen] = receiver.seen().try_into().unwrap();
     assert!(seen.head.starts_with("POST /done?token=hidden HTTP/1.1"), "{}", seen.head);
+    assert!(seen.head.contains("\r\nVentricle-Signature: t="), "as documented, for receivers that compare letters: {}", seen.head);
     assert_eq!(seen.header("host"), receiver.address.to_string());
     assert_eq!(seen.header("content-type"), "application/json");
     assert_eq!(seen.header("ventricle-delivery"), told.id.to_string());
