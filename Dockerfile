@@ -22,6 +22,8 @@ LABEL org.opencontainers.image.title="Ventricle" \
       org.opencontainers.image.licenses="MIT OR Apache-2.0"
 RUN useradd --uid 10001 --user-group --no-create-home --shell /usr/sbin/nologin ventricle \
     && install --directory --owner ventricle --group ventricle --mode 0700 /data
+# Whom callbacks' receivers are checked against (--callback-ca-file); mount another file over it for authorities of your own.
+COPY --from=build /etc/ssl/certs/ca-certificates.crt /etc/ssl/certs/ca-certificates.crt
 COPY --from=build /build/target/release/ventricle /usr/local/bin/ventricle
 COPY LICENSE LICENSE-MIT LICENSE-APACHE /usr/share/doc/ventricle/
 USER ventricle

@@ -5,6 +5,8 @@ use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
 /// A hundred years: what is meant to be kept for longer is kept until it is deleted.
 const LONGEST_RETENTION_HOURS: u64 = 876_000;
+/// Fewest characters of a secret: 16 random letters and digits are 95 bits, beyond guessing.
+const LEAST_SECRET: usize = 16;
 
 /// Settings of `ventricle serve`.
 #[derive(Debug, Clone, Args)]
@@ -82,6 +84,27 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_DRAIN_SECONDS", default_value = "25", value_parser = clap::value_parser!(u64).range(0..=3600))]
     pub drain_seconds: u64,
 
+    /// URL told of the end of every job that gives no `callback_url` of its own. Needs a secret.
+    #[arg(long, env = "VENTRICLE_CALLBACK_URL", hide_env_values = true)]
+    pub callback_url: Option<Secret>,
+
+    /// Secret that callbacks are signed with, at least 16 characters. Better in the environment or in a file than on the command line.
+    #[arg(long, env = "VENTRICLE_CALLBACK_SECRET", hide_env_values = true)]
+    pub callback_secret: Option<Secret>,
+
+    /// File that holds that secret, white space at its ends left out.
+    #[arg(long, env = "VENTRICLE_CALLBACK_SECRET_FILE")]
+    pub callback_secret_file: Option<PathBuf>,
+
+    /// Where callbacks may go beside public addresses, separated by commas: hosts and addresses, each with a port or for all, which may be http
+    /// too, and networks as `10.0.0.0/8`.
+    #[arg(long, env = "VENTRICLE_CALLBACK_ALLOW", value_delimiter = ',')]
+    pub callback_allow: Vec<String>,
+
+    /// PEM file of the certificate authorities that receivers of callbacks are checked against.
+    #[arg(long, env = "VENTRICLE_CALLBACK_CA_FILE", default_value = "/etc/ssl/certs/ca-certificates.crt")]
+    pub callback_ca_file: PathBuf,
+
     /// Origins of web pages that may call the service (CORS), separated by commas, or `*` for any. None by default.
     #[arg(long, env = "VENTRICLE_CORS_ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
@@ -93,6 +116,29 @@ pub struct ServeSettings {
     /// What is logged: a level, or directives as `info,ventricle::jobs=debug`.
     #[arg(long, env = "VENTRICLE_LOG", default_value = "info")]
     pub log: String,
+}
+
+/// A text that no log, message or debugging output shows.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(String);
+
+impl Secret {
+    /// The text.
+    pub fn expose(&self) -> &str {
+        &self.0
+    }
+}
+
+impl From<&str> for Secret {
+    fn from(text: &str) -> Self {
+        Self(text.to_owned())
+    }
+}
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Secret(…)")
+    }
 }
 
 /// Form of the log.
@@ -156,6 +202,29 @@ pub enum ConfigError {
         /// Most hours by request.
         max: u64,
     },
+    /// Callbacks are wished for that could not be signed.
+    #[error(
+        "--callback-url (VENTRICLE_CALLBACK_URL) needs a secret to sign with: set --callback-secret-file, or VENTRICLE_CALLBACK_SECRET, to at \
+         least {LEAST_SECRET} random characters."
+    )]
+    CallbackWithoutSecret,
+    /// Two secrets.
+    #[error("The secret of callbacks is given twice: use either --callback-secret-file or VENTRICLE_CALLBACK_SECRET.")]
+    CallbackSecretTwice,
+    /// A secret that could be guessed.
+    #[error("The secret of callbacks has {length} characters; use at least {LEAST_SECRET} random ones, as `openssl rand -hex 32` prints.")]
+    CallbackSecretTooShort {
+        /// Its characters.
+        length: usize,
+    },
+    /// A secret that cannot be read.
+    #[error("The secret of callbacks cannot be read from {}: {why}.", path.display())]
+    CallbackSecretFile {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        why: String,
+    },
     /// Log directives that cannot be read.
     #[error("`{directives}` does not say what to log: {why}.")]
     LogDirectives {
@@ -206,6 +275,22 @@ impl ServeSettings {
     /// Longest a request may ask for.
     pub fn longest_retention(&self) -> Duration {
         Duration::from_hours(self.max_retention_hours)
+    }
+
+    /// The secret that callbacks are signed with, if there is one; without it there are none.
+    pub fn callback_secret(&self) -> Result<Option<Secret>, ConfigError> {
+        let secret = match (&self.callback_secret, &self.callback_secret_file) {
+            (Some(_), Some(_)) => return Err(ConfigError::CallbackSecretTwice),
+            (Some(secret), None) => secret.clone(),
+            (None, Some(path)) => {
+                let unreadable = |error: std::io::Error| ConfigError::CallbackSecretFile { path: path.clone(), why: error.to_string() };
+                Secret(std::fs::read_to_string(path).map_err(unreadable)?.trim().to_owned())
+            }
+            (None, None) if self.callback_url.is_some() => return Err(ConfigError::CallbackWithoutSecret),
+            (None, None) => return Ok(None),
+        };
+        let length = secret.expose().chars().count();
+        if length < LEAST_SECRET { Err(ConfigError::CallbackSecretTooShort { length }) } else { Ok(Some(secret)) }
     }
 
     /// Which web pages may call the service.
@@ -325,6 +410,26 @@ mod tests {
         let settings = settings(&["--retention-hours", "0", "--max-retention-hours", "1"]);
         settings.validate().unwrap();
         assert_eq!((settings.retention(), settings.longest_retention()), (None, Duration::from_hours(1)));
+    }
+
+    #[test]
+    fn callbacks_need_one_secret_that_is_not_shown() {
+        assert_eq!(settings(&[]).callback_secret(), Ok(None));
+        let url = ["--callback-url", "https://a.example/?token=1"];
+        assert_eq!(settings(&url).callback_secret(), Err(ConfigError::CallbackWithoutSecret));
+        let given = settings(&["--callback-secret", "0123456789abcdef", url[0], url[1]]);
+        assert_eq!(given.callback_secret().unwrap().unwrap().expose(), "0123456789abcdef");
+        assert!(!format!("{given:?}").contains("0123456789abcdef") && !format!("{given:?}").contains("token"));
+        let short = settings(&["--callback-secret", "0123456789abcde"]).callback_secret().unwrap_err();
+        assert!(short.to_string().contains("at least 16") && !short.to_string().contains("0123"), "{short}");
+        let twice = settings(&["--callback-secret", "0123456789abcdef", "--callback-secret-file", "x"]);
+        assert_eq!(twice.callback_secret(), Err(ConfigError::CallbackSecretTwice));
+        let path = std::env::temp_dir().join(format!("ventricle-secret-{}", uuid::Uuid::now_v7()));
+        let from_file = settings(&["--callback-secret-file", path.to_str().unwrap()]);
+        assert!(matches!(from_file.callback_secret(), Err(ConfigError::CallbackSecretFile { .. })));
+        std::fs::write(&path, "  fedcba9876543210\n").unwrap();
+        assert_eq!(from_file.callback_secret().unwrap().unwrap().expose(), "fedcba9876543210");
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

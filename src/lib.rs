@@ -17,10 +17,12 @@
 //! | [`accuracy`] | how far both presets are from the truth |
 //! | [`parameters`] | parameters as a client writes them |
 //! | [`jobs`] | what is stored, queued and worked on |
+//! | [`callbacks`] | who is told when a job ends |
 //! | [`http`] | the service |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod accuracy;
+pub mod callbacks;
 pub mod config;
 pub mod drawing;
 pub mod export;

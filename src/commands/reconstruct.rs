@@ -70,7 +70,12 @@ pub(crate) struct Args {
 #[expect(clippy::needless_pass_by_value, reason = "every subcommand takes its arguments")]
 pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let received = read(&args)?;
-    let chosen = parameters::resolve(parameters::parse(&requested(&args, received.parameters)?)?)?;
+    let requested = parameters::parse(&requested(&args, received.parameters)?)?;
+    anyhow::ensure!(
+        requested.callback_url.is_none(),
+        "`callback_url` is for jobs of the service; this command ends when it has its result."
+    );
+    let chosen = parameters::resolve(requested)?;
     let study = received.study;
     let pool = ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, NonZeroUsize::get)).build()?;
     let watch = Watch::new();

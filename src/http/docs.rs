@@ -1,6 +1,6 @@
 //! The contract, its reference page, and what stands at the root.
 
-use super::{AppState, problem::Problem};
+use super::{AppState, problem::Problem, views::CallbackView};
 use crate::{
     parameters::{self, Description},
     pipeline::parameters::Parameters,
@@ -14,9 +14,16 @@ use axum::{
 use serde::Serialize;
 use utoipa::{
     OpenApi, ToSchema,
-    openapi::{ContentBuilder, Ref, ResponseBuilder},
+    openapi::{
+        ContentBuilder, HttpMethod, Object, PathItem, Ref, RefOr, Required, ResponseBuilder, Type,
+        path::{Callback, OperationBuilder, ParameterBuilder, ParameterIn},
+        request_body::RequestBodyBuilder,
+    },
 };
 use utoipa_swagger_ui::{Config, SwaggerUi};
+
+/// Where the URL of a callback stands in a JSON body; it may as well come by query or by the part `parameters`.
+const CALLBACK_URL: &str = "{$request.body#/parameters/callback_url}";
 
 /// What stands before the routes in the contract.
 #[derive(OpenApi)]
@@ -37,7 +44,7 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
         (name = "parameters", description = "How a reconstruction can be steered"),
         (name = "operation", description = "Health, numbers and this document"),
     ),
-    components(schemas(parameters::Request, Problem)),
+    components(schemas(parameters::Request, Problem, CallbackView)),
 )]
 pub(super) struct Contract;
 
@@ -55,6 +62,41 @@ pub(super) fn document_other_problems(document: &mut utoipa::openapi::OpenApi) {
         for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
             operation.responses.responses.insert("default".to_owned(), problem().into());
         }
+    }
+}
+
+/// Describes what is sent when a job ends, at the operation that asks for it.
+pub(super) fn document_callback(document: &mut utoipa::openapi::OpenApi) {
+    let header = |name: &str, description: &str| {
+        ParameterBuilder::new()
+            .name(name)
+            .parameter_in(ParameterIn::Header)
+            .required(Required::True)
+            .description(Some(description))
+            .schema(Some(Object::with_type(Type::String)))
+            .build()
+    };
+    let body = ContentBuilder::new().schema(Some(Ref::from_schema_name("Callback"))).build();
+    let answer = |description: &str| ResponseBuilder::new().description(description).build();
+    let operation = OperationBuilder::new()
+        .summary(Some("A job has reached its final state"))
+        .description(Some(
+            "Sent at least once, with the same `Ventricle-Delivery` each time; anything but 2xx within 15 s is tried again, up to eleven times in \
+             about a day, later if `Retry-After` says so. Redirects are not followed. A job that is deleted is not told of any more.",
+        ))
+        .parameter(header("Ventricle-Delivery", "Id of the delivery: a repetition has the same."))
+        .parameter(header(
+            "Ventricle-Signature",
+            "`t=<unix seconds>,v1=<hex>`: HMAC-SHA256, under the secret shared with the operator, of `t`, a full stop and the body as it came. \
+             Refuse what does not match or is older than five minutes.",
+        ))
+        .request_body(Some(RequestBodyBuilder::new().content("application/json", body).required(Some(Required::True)).build()))
+        .response("2XX", answer("Received"))
+        .response("default", answer("Not received: sent again later"))
+        .build();
+    let callback: Callback = [(CALLBACK_URL.to_owned(), RefOr::T(PathItem::new(HttpMethod::Post, operation)))].into();
+    if let Some(submission) = document.paths.paths.get_mut("/v1/reconstructions").and_then(|item| item.post.as_mut()) {
+        submission.callbacks.insert("jobEnded".to_owned(), RefOr::T(callback));
     }
 }
 

@@ -22,9 +22,9 @@ mod views;
 pub use health::{Check, Checks};
 pub use problem::Problem;
 pub use service::{Running, ServeError, serve, start};
-pub use views::{JobListView, JobState, JobView, Links, ProgressView};
+pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressView, callback_body};
 
-use crate::{config::Cors, intake, jobs::Store, telemetry};
+use crate::{callbacks::Rules, config::Cors, intake, jobs::Store, telemetry};
 use axum::{Router, http::StatusCode, middleware};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::{path::PathBuf, sync::Arc, time::Duration};
@@ -52,6 +52,7 @@ pub struct AppState {
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
     cors: Cors,
+    callbacks: Option<Arc<Rules>>,
     draining: CancellationToken,
     metrics: PrometheusHandle,
     openapi: Arc<str>,
@@ -76,6 +77,7 @@ impl AppState {
             workers_alive: Arc::new(|| true),
             disk: None,
             cors: Cors::Off,
+            callbacks: None,
             draining: CancellationToken::new(),
             metrics: telemetry::metrics(),
             openapi: openapi_json().into(),
@@ -117,6 +119,12 @@ impl AppState {
     #[must_use]
     pub fn with_cors(self, cors: Cors) -> Self {
         Self { cors, ..self }
+    }
+
+    /// With callbacks, under these rules. Without them a `callback_url` is refused.
+    #[must_use]
+    pub fn with_callbacks(self, rules: Rules) -> Self {
+        Self { callbacks: Some(Arc::new(rules)), ..self }
     }
 
     /// Cancel it to refuse new work, end waiting answers and call the service not ready.
@@ -187,6 +195,7 @@ pub fn router(state: AppState) -> Router {
 pub fn openapi_document() -> utoipa::openapi::OpenApi {
     let mut document = routes().into_openapi();
     docs::document_other_problems(&mut document);
+    docs::document_callback(&mut document);
     document
 }
 

@@ -9,9 +9,10 @@ use super::{
     views::{self, Binary, JobListView, JobState, JobView},
 };
 use crate::{
+    callbacks::Rules,
     intake, jobs,
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
-    parameters,
+    parameters::{self, ParameterError},
     pipeline::{pose, region},
     study::Format,
 };
@@ -142,9 +143,13 @@ pub(super) async fn submit(
     let bytes = body::read(body, reservation.bytes(), state.upload_time).await?;
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
+    let callbacks = state.callbacks.clone();
     let longest_retention_s = state.longest_retention.as_secs();
-    let new =
-        state.parse(move |limits| receive(content_type.as_deref(), bytes, query, idempotency_key, limits, longest_retention_s)).await?;
+    let parsing = move |limits: &_| {
+        let rules = JobRules { longest_retention_s, callbacks: callbacks.as_deref() };
+        receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules)
+    };
+    let new = state.parse(parsing).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
@@ -161,6 +166,13 @@ fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reser
     Ok((idempotency_key, state.store.reserve(announced)?))
 }
 
+/// What a request may ask of its job.
+struct JobRules<'a> {
+    longest_retention_s: u64,
+    /// `None`: there are no callbacks.
+    callbacks: Option<&'a Rules>,
+}
+
 /// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
 fn receive(
     content_type: Option<&str>,
@@ -168,7 +180,7 @@ fn receive(
     mut query: Vec<(String, String)>,
     idempotency_key: Option<String>,
     limits: &intake::Limits,
-    longest_retention_s: u64,
+    rules: &JobRules<'_>,
 ) -> Result<NewJob, Problem> {
     let upload = Upload::new(content_type, bytes)?;
     let request_hash = upload.hash(&query);
@@ -185,12 +197,28 @@ fn receive(
             "The query gives `spacing_mm`, but the study says itself how far apart its voxels are. Leave it out: it is for NPY alone.";
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
     }
-    let request = parameters::parse_for_job(&merged_parameters(received.parameters, upload.parameters, query), longest_retention_s)?;
+    let mut request =
+        parameters::parse_for_job(&merged_parameters(received.parameters, upload.parameters, query), rules.longest_retention_s)?;
     let retention = request.retention_seconds.map(Duration::from_secs);
+    let callback_url = callback_url(request.callback_url.take(), rules.callbacks)?;
     let parameters = parameters::resolve(request)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
     pose::check_marks(&received.study.grid, &parameters.pose)?;
-    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url: None })
+    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url })
+}
+
+/// Who is told of the job's end: the URL asked for, if it may be called, else the operator's.
+fn callback_url(requested: Option<String>, callbacks: Option<&Rules>) -> Result<Option<String>, ParameterError> {
+    let refused = |code, detail: String| ParameterError::one(code, "/callback_url", detail);
+    match (callbacks, requested) {
+        (None, None) => Ok(None),
+        (None, Some(_)) => {
+            let detail = "`callback_url` is not available: this service has no secret to sign callbacks with. Leave it out, or ask the operator \
+                          to set --callback-secret-file.";
+            Err(refused("unavailable_parameter", detail.to_owned()))
+        }
+        (Some(rules), requested) => rules.url(requested).map_err(|error| refused("invalid_parameter", format!("`callback_url` {error}"))),
+    }
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.

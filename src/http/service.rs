@@ -1,7 +1,8 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, listener, router};
+use super::{AppState, listener, router, views};
 use crate::{
+    callbacks::{self, AllowError, Allowed, Deliveries, DeliverySettings, RootsError, Rules, Sender, Signer, TargetError},
     config::{ConfigError, ServeSettings},
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
 };
@@ -16,6 +17,9 @@ use tokio_util::sync::CancellationToken;
 /// Time that answers under way get once no worker runs any more.
 const LAST_ANSWERS: Duration = Duration::from_secs(5);
 
+/// Time that callbacks under way get once no worker runs any more; then another node, or the next start, sends them.
+const LAST_CALLBACKS: Duration = Duration::from_secs(3);
+
 /// Why the service did not start or ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
@@ -25,6 +29,15 @@ pub enum ServeError {
     /// The store did not open.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// `--callback-allow` cannot be read.
+    #[error(transparent)]
+    CallbackAllow(#[from] AllowError),
+    /// `--callback-ca-file` cannot be used.
+    #[error(transparent)]
+    CallbackRoots(#[from] RootsError),
+    /// `--callback-url` may not be called.
+    #[error("The URL of --callback-url {0}")]
+    CallbackUrl(#[from] TargetError),
     /// The address is taken or not ours.
     #[error("Cannot listen on {address}: {source}.")]
     Listen {
@@ -45,6 +58,7 @@ pub struct Running {
     closing: CancellationToken,
     listener: JoinHandle<()>,
     workers: Arc<Workers>,
+    deliveries: Option<Deliveries>,
     store: Store,
     drain_time: Duration,
 }
@@ -63,6 +77,9 @@ impl Running {
         if drained.given_back > 0 {
             tracing::info!(jobs = drained.given_back, "given back unfinished; they continue at the next start");
         }
+        if let Some(deliveries) = &self.deliveries {
+            deliveries.stop(LAST_CALLBACKS).await;
+        }
         self.closing.cancel();
         let abort = self.listener.abort_handle();
         match tokio::time::timeout(LAST_ANSWERS, self.listener).await {
@@ -80,12 +97,18 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     // The address first: with a wrong one nothing else should have begun.
     let listener = TcpListener::bind(settings.listen).await.map_err(|source| ServeError::Listen { address: settings.listen, source })?;
     let address = listener.local_addr()?;
+    let callbacks = callbacks(settings)?;
     let store = Store::open(store_settings(settings)).await?;
     let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
-    let state = state(settings, &store, &workers);
+    let mut state = state(settings, &store, &workers);
+    let mut deliveries = None;
+    if let Some((rules, settings)) = callbacks {
+        state = state.with_callbacks(rules);
+        deliveries = Some(callbacks::start(store.clone(), settings));
+    }
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
-    Ok(Running { address, draining, closing, listener, workers, store, drain_time: settings.drain_time() })
+    Ok(Running { address, draining, closing, listener, workers, deliveries, store, drain_time: settings.drain_time() })
 }
 
 /// Runs the service until SIGTERM or SIGINT, then stops it in order.
@@ -123,6 +146,17 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         retention: settings.retention(),
         ..StoreSettings::default()
     }
+}
+
+/// How a service with these settings tells of jobs' ends; `None` without a secret.
+fn callbacks(settings: &ServeSettings) -> Result<Option<(Rules, DeliverySettings)>, ServeError> {
+    let Some(secret) = settings.callback_secret()? else { return Ok(None) };
+    let allowed = Arc::new(Allowed::parse(settings.callback_allow.iter().map(String::as_str))?);
+    let signer = Signer::new(secret.expose()).map_err(io::Error::other)?;
+    let sender = Sender::new(Arc::clone(&allowed), &settings.callback_ca_file)?;
+    let mut rules = Rules { allowed, default_url: None };
+    rules.default_url = rules.url(settings.callback_url.as_ref().map(|url| url.expose().to_owned()))?;
+    Ok(Some((rules, DeliverySettings::new(sender, signer, Arc::new(views::callback_body)))))
 }
 
 /// The workers a service with these settings has.

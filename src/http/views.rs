@@ -75,6 +75,54 @@ pub struct JobView {
     pub links: Links,
 }
 
+/// What a callback says: that a job has reached its final state. Nothing of the patient or the study.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(as = Callback, example = json!({
+    "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11", "state": "failed", "version": 9, "finished_at": "2026-01-02T03:04:09Z",
+    "error_code": "no_left_ventricle",
+    "links": {
+        "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
+        "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
+        "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
+        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+    }
+}))]
+pub struct CallbackView {
+    /// The job.
+    #[schema(format = "uuid")]
+    pub id: String,
+    /// `succeeded`, `failed` or `cancelled`.
+    pub state: JobState,
+    /// The job's version, as in its `ETag`.
+    pub version: i64,
+    /// When it reached its final state, RFC 3339 in UTC.
+    #[schema(required, format = DateTime)]
+    pub finished_at: Option<String>,
+    /// The code of its error; null unless `state` is `failed`.
+    #[schema(required)]
+    pub error_code: Option<String>,
+    /// Where everything about it is, as paths on the service.
+    pub links: Links,
+}
+
+impl From<&Job> for CallbackView {
+    fn from(job: &Job) -> Self {
+        Self {
+            id: job.id.to_string(),
+            state: job.state.into(),
+            version: job.version,
+            finished_at: job.finished_at.map(|time| time.to_string()),
+            error_code: job.error.as_ref().map(|error| error.code.clone()),
+            links: Links::of(job),
+        }
+    }
+}
+
+/// The body of a callback.
+pub fn callback_body(job: &Job) -> Vec<u8> {
+    serde_json::to_vec(&CallbackView::from(job)).unwrap_or_default()
+}
+
 /// Where a job is in its life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -146,6 +194,13 @@ pub struct Links {
     pub surfaces: String,
 }
 
+impl Links {
+    fn of(job: &Job) -> Self {
+        let this = path(job);
+        Self { events: format!("{this}/events"), report: format!("{this}/report"), surfaces: format!("{this}/surfaces.glb"), this }
+    }
+}
+
 /// Reconstructions, newest first.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = JobList)]
@@ -159,7 +214,6 @@ pub struct JobListView {
 
 impl From<&Job> for JobView {
     fn from(job: &Job) -> Self {
-        let this = path(job);
         Self {
             id: job.id.to_string(),
             state: job.state.into(),
@@ -179,12 +233,7 @@ impl From<&Job> for JobView {
             finished_at: job.finished_at.map(|time| time.to_string()),
             expires_at: job.expires_at.map(|time| time.to_string()),
             error: job.error.as_ref().map(Problem::from),
-            links: Links {
-                events: format!("{this}/events"),
-                report: format!("{this}/report"),
-                surfaces: format!("{this}/surfaces.glb"),
-                this,
-            },
+            links: Links::of(job),
         }
     }
 }

@@ -14,6 +14,7 @@
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
 //! | `ending.rs`, `expiry.rs` | what follows when a job ends; what is deleted when its time is over |
+//! | `deliveries.rs` | who claims and settles what is to be told of a job's end |
 //! | `progress.rs` | how a running reconstruction is watched and stopped |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
@@ -22,6 +23,7 @@
 
 mod compute;
 mod database;
+mod deliveries;
 mod ending;
 mod error;
 mod expiry;
@@ -40,6 +42,7 @@ mod watch;
 pub mod work;
 mod worker;
 
+pub use deliveries::{Delivery, DeliveryClaim, Settled};
 pub use error::{QueueFull, StoreError, SubmitError};
 pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
 pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};

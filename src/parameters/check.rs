@@ -7,7 +7,7 @@ use utoipa::PartialSchema;
 
 /// Fields that the published contract names and this version does not have yet: a client that sends one is told so, and not that it does not
 /// exist.
-const NOT_YET_AVAILABLE: [&str; 2] = ["/metadata", "/callback_url"];
+const NOT_YET_AVAILABLE: [&str; 1] = ["/metadata"];
 /// The field that is about the job and not about its numbers.
 const RETENTION: &str = "retention_seconds";
 

@@ -1,0 +1,202 @@
+//! Who claims deliveries, sends them and settles them: one task a node, with a bounded number of requests under way. Which node delivers
+//! what does not matter.
+
+use super::{
+    schedule::Schedule,
+    send::{Answer, SendError, Sender, WHOLE_TIME},
+    signature::Signer,
+};
+use crate::jobs::{DeliveryClaim, Job, Settled, Store};
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+use tokio::{
+    sync::Mutex,
+    task::{JoinHandle, JoinSet},
+    time::{sleep, timeout},
+};
+use tokio_util::sync::CancellationToken;
+
+/// Time that giving back may take at the end.
+const GIVE_BACK_TIME: Duration = Duration::from_secs(2);
+/// Longest reason that is stored.
+const LONGEST_REASON: usize = 200;
+
+/// Makes the body that tells of a job's end.
+pub type Body = Arc<dyn Fn(&Job) -> Vec<u8> + Send + Sync>;
+
+/// Everything about delivering that can be chosen.
+#[derive(Clone)]
+pub struct DeliverySettings {
+    /// What connects.
+    pub sender: Sender,
+    /// What signs.
+    pub signer: Signer,
+    /// What is sent.
+    pub body: Body,
+    /// When it is tried again.
+    pub schedule: Schedule,
+    /// How long a delivery is this node's: longer than an attempt takes.
+    pub lease: Duration,
+    /// How often deliveries that are due are looked for.
+    pub poll: Duration,
+    /// Requests under way at once.
+    pub at_once: usize,
+}
+
+impl DeliverySettings {
+    /// The usual ones.
+    pub fn new(sender: Sender, signer: Signer, body: Body) -> Self {
+        Self {
+            sender,
+            signer,
+            body,
+            schedule: Schedule::default(),
+            // The time of an attempt and as much again for a database that answers late.
+            lease: WHOLE_TIME * 2,
+            poll: Duration::from_secs(1),
+            // Few enough that nobody's service is flooded; eight receivers that never answer still leave one delivery every 2 s.
+            at_once: 8,
+        }
+    }
+}
+
+/// The running task. Dropping it stops it without waiting; what it held is taken up again when its lease is over.
+#[derive(Debug)]
+pub struct Deliveries {
+    stopping: CancellationToken,
+    giving_back: CancellationToken,
+    task: Mutex<Option<JoinHandle<()>>>,
+}
+
+/// Starts to deliver on the current runtime.
+pub fn start(store: Store, settings: DeliverySettings) -> Deliveries {
+    let (stopping, giving_back) = (CancellationToken::new(), CancellationToken::new());
+    let courier = Arc::new(Courier { store, settings, giving_back: giving_back.clone() });
+    let task = tokio::spawn(run(courier, stopping.clone()));
+    Deliveries { stopping, giving_back, task: Mutex::new(Some(task)) }
+}
+
+impl Deliveries {
+    /// Claims nothing more, waits for what is under way at most so long, then gives it back: any node may try it at once.
+    pub async fn stop(&self, patience: Duration) {
+        self.stopping.cancel();
+        let Some(mut task) = self.task.lock().await.take() else { return };
+        if timeout(patience, &mut task).await.is_err() {
+            self.giving_back.cancel();
+            if timeout(GIVE_BACK_TIME, &mut task).await.is_err() {
+                task.abort();
+            }
+        }
+    }
+}
+
+impl Drop for Deliveries {
+    fn drop(&mut self) {
+        if let Some(task) = self.task.get_mut() {
+            task.abort();
+        }
+    }
+}
+
+struct Courier {
+    store: Store,
+    settings: DeliverySettings,
+    giving_back: CancellationToken,
+}
+
+/// Delivers until told to stop, then ends what is under way.
+async fn run(courier: Arc<Courier>, stopping: CancellationToken) {
+    let mut under_way = JoinSet::new();
+    while !stopping.is_cancelled() {
+        while under_way.len() < courier.settings.at_once && !stopping.is_cancelled() {
+            match courier.store.claim_delivery(courier.settings.lease).await {
+                Ok(Some(claim)) => {
+                    let courier = Arc::clone(&courier);
+                    under_way.spawn(async move { courier.deliver(claim).await });
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    tracing::warn!(%error, "no callback could be claimed");
+                    break;
+                }
+            }
+        }
+        tokio::select! {
+            () = stopping.cancelled() => {}
+            Some(ended) = under_way.join_next() => report_panic(ended),
+            () = sleep(courier.settings.poll) => {}
+        }
+    }
+    while let Some(ended) = under_way.join_next().await {
+        report_panic(ended);
+    }
+}
+
+fn report_panic(ended: Result<(), tokio::task::JoinError>) {
+    if let Err(error) = ended {
+        tracing::error!(%error, "a callback was not delivered; its lease will lapse");
+    }
+}
+
+impl Courier {
+    /// One attempt and what becomes of it.
+    async fn deliver(&self, claim: DeliveryClaim) {
+        let settled = tokio::select! {
+            biased;
+            settled = self.attempt(&claim) => settled,
+            () = self.giving_back.cancelled() => Some(Settled::GivenBack),
+        };
+        let Some(settled) = settled else { return };
+        match self.store.settle_delivery(&claim, &settled).await {
+            Ok(true) => {}
+            Ok(false) => {
+                tracing::warn!(delivery = %claim.id, "a callback was no longer this node's: its lease was over, or its job is deleted");
+            }
+            Err(error) => tracing::warn!(%error, delivery = %claim.id, "the end of a callback could not be stored; its lease will lapse"),
+        }
+    }
+
+    /// Sends; returns what became of it, or `None` where there is nothing to settle.
+    async fn attempt(&self, claim: &DeliveryClaim) -> Option<Settled> {
+        let job = match self.store.get(claim.job).await {
+            Ok(job) => job?, // deleted with its deliveries
+            Err(error) => {
+                tracing::warn!(%error, delivery = %claim.id, "the job of a callback could not be read; its lease will lapse");
+                return None;
+            }
+        };
+        let body = (self.settings.body)(&job);
+        let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+        let headers = [("ventricle-delivery", claim.id.to_string()), ("ventricle-signature", self.settings.signer.sign(now_s, &body))];
+        let sent = self.settings.sender.post(&claim.url, &headers, body).await;
+        Some(self.judge(claim, sent))
+    }
+
+    fn judge(&self, claim: &DeliveryClaim, sent: Result<Answer, SendError>) -> Settled {
+        let (wanted, why, refused) = match sent {
+            Ok(Answer { status: 200..=299, .. }) => {
+                tracing::info!(delivery = %claim.id, job = %claim.job, attempt = claim.attempt, "callback delivered");
+                count("delivered");
+                return Settled::Delivered;
+            }
+            Ok(Answer { status, retry_after }) => (retry_after, format!("status {status}"), false),
+            Err(error) => (None, error.to_string().chars().take(LONGEST_REASON).collect(), error.is_refusal()),
+        };
+        let (delivery, job, attempt) = (claim.id, claim.job, claim.attempt);
+        let Some(after) = self.settings.schedule.pause(delivery, attempt, wanted) else {
+            tracing::error!(%delivery, %job, attempt, why, "callback given up");
+            count("given_up");
+            return Settled::GivenUp { why };
+        };
+        tracing::warn!(%delivery, %job, attempt, why, again_in_s = after.as_secs(), "callback not delivered");
+        count(if refused { "refused" } else { "failed" });
+        Settled::Again { after, why }
+    }
+}
+
+/// Counts an attempt by how it ended.
+fn count(outcome: &'static str) {
+    metrics::counter!("ventricle_callbacks_total", "outcome" => outcome).increment(1);
+}
