@@ -136,10 +136,10 @@ fn post_all<T>(jobs: usize, address: &Address, seen: &Seen, body: &[u8], meanwhi
 
 #[test]
 fn sqlite_loses_nothing_to_kills_at_random_times() {
-    let plan = Plan::of(60, 4);
+    let plan = Plan::of(40, 3);
     let data = Directory::new("chaos");
     let body = study(1, COARSE);
-    let flags = ["--threads-per-worker", "1", "--workers", "2", "--max-queued-jobs", "40"];
+    let flags = ["--threads-per-worker", "1", "--workers", "2"];
     let workers = 2;
     let seed = 20;
     let mut random = ChaCha8Rng::seed_from_u64(seed);

@@ -182,7 +182,9 @@ async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancel
 }
 
 async fn what_comes_late_from_a_lost_attempt_is_refused(place: &Place) {
-    let store = Store::open(StoreSettings { lease: Duration::from_millis(30), ..place.settings() }).await.unwrap();
+    let store = Store::open(StoreSettings { lease: Duration::from_millis(30), retry_pause: Duration::from_secs(1), ..place.settings() })
+        .await
+        .unwrap();
     let job = submit(&store).await;
     let first = store.claim("first").await.unwrap().unwrap();
     assert_eq!(store.reap().await.unwrap(), [], "the lease still runs");

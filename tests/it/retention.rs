@@ -1,6 +1,6 @@
 //! How long finished jobs are kept, and that their room comes back.
 
-use crate::place::{Place, on_both_engines, new_job, output, submit, until_state, work, workers};
+use crate::place::{Place, new_job, on_both_engines, output, submit, until_state, work, workers};
 use sqlx::{ConnectOptions, Connection, Row, sqlite::SqliteConnectOptions};
 use std::time::{Duration, Instant};
 use uuid::Uuid;

@@ -1,6 +1,6 @@
 //! A database of an earlier version is brought to the present one by opening it, and loses nothing.
 
-use crate::place::{Place, on_both_engines, new_job, output, study};
+use crate::place::{Place, new_job, on_both_engines, output, study};
 use sha2::{Digest, Sha256};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, PgConnection, sqlite::SqliteConnectOptions};
 use std::time::Duration;
