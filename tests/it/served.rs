@@ -94,11 +94,6 @@ impl Served {
         answer(self.agent.get(format!("{}{path}", self.url)).call().unwrap())
     }
 
-    /// `None` if there is no answer.
-    pub(crate) fn try_get(&self, path: &str) -> Option<Answer> {
-        self.agent.get(format!("{}{path}", self.url)).call().ok().map(answer)
-    }
-
     pub(crate) fn post(&self, media_type: &str, body: &[u8]) -> Answer {
         self.post_with("", media_type, body)
     }
