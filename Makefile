@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test lint openapi tables accuracy
+.PHONY: help demo build test chaos lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -20,6 +20,13 @@ build: ## builds the release binary
 test: ## installs what the tests need on Debian, then runs all of them
 	@tests/tools/prepare.sh
 	@tests/tools/run.sh
+
+# As long as a person likes; the tests of CI do the same with fewer.
+CHAOS_JOBS ?= 500
+CHAOS_KILLS ?= 8
+
+chaos: ## kills the service at random times under 500 real jobs, and says what came of them
+	CHAOS_JOBS=$(CHAOS_JOBS) CHAOS_KILLS=$(CHAOS_KILLS) cargo test --release --locked --test it chaos:: -- --nocapture
 
 lint: ## formatting, clippy, documentation, licences and advisories
 	cargo fmt --check
