@@ -6,29 +6,28 @@
 //! the connection is, or when something between (a pooler) does not carry notifications.
 
 use super::{
+    backoff::Backoff,
     database::CHANNEL,
     store::{Inner, Store},
 };
 use sqlx::{AssertSqlSafe, Executor as _, Row as _, postgres::PgListener};
 use std::{io, sync::Weak, time::Duration};
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 use uuid::Uuid;
 
 /// After so long without a word the connection is tried: one whose other end vanished without a sign would be silent for ever.
 const SILENCE: Duration = Duration::from_secs(30);
 /// How long that trial may take.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
-/// First and longest pause between attempts to connect.
-const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
 /// Listens while the store lives.
 pub(super) async fn run(store: Weak<Inner>, url: String) {
     let connected = metrics::gauge!("ventricle_listener_connected");
-    let mut pause = BACKOFF.0;
+    let mut backoff = Backoff::default();
     while store.strong_count() > 0 {
         match connect(&url).await {
             Ok(mut listener) => {
-                pause = BACKOFF.0;
+                backoff = Backoff::default();
                 connected.set(1.0);
                 look_again(&store);
                 let why = hear(&store, &mut listener).await;
@@ -37,8 +36,7 @@ pub(super) async fn run(store: Weak<Inner>, url: String) {
             }
             Err(error) => tracing::warn!(%error, "other nodes cannot be heard yet; polling goes on meanwhile"),
         }
-        sleep(pause).await;
-        pause = (pause * 2).min(BACKOFF.1);
+        backoff.pause().await;
     }
 }
 

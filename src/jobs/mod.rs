@@ -15,12 +15,14 @@
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
 //! | `ending.rs`, `expiry.rs` | what follows when a job ends; what is deleted when its time is over |
 //! | `deliveries.rs` | who claims and settles what is to be told of a job's end |
+//! | `backoff.rs` | pauses between attempts at what failed for the moment |
 //! | `progress.rs` | how a running reconstruction is watched and stopped |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
 //! | `database.rs`, `schema.rs` | one SQL text on two engines |
 //! | `watch.rs`, `listen.rs` | who waits for a change of which job, and who hears of those that other nodes make |
 
+mod backoff;
 mod compute;
 mod database;
 mod deliveries;

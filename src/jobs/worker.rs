@@ -1,6 +1,7 @@
 //! Who works: tasks that claim a job when they are free, compute it on their own thread and keep its lease meanwhile.
 
 use super::{
+    backoff::{self, Backoff},
     compute::ComputeThread,
     error::StoreError,
     input,
@@ -28,8 +29,6 @@ use tracing::Instrument as _;
 const STOP_GRACE: Duration = Duration::from_secs(1);
 /// How long giving back may take at the end of a drain.
 const GIVE_BACK_TIME: Duration = Duration::from_secs(5);
-/// First and longest pause after a failure of the store.
-const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
 /// Everything about the workers that can be chosen.
 #[derive(Clone)]
@@ -251,7 +250,7 @@ impl Worker {
                         }
                         Err(error) => {
                             tracing::warn!(%error, "a heartbeat failed");
-                            ticks.reset_after(BACKOFF.1.min(self.settings.heartbeat));
+                            ticks.reset_after(backoff::LONGEST.min(self.settings.heartbeat));
                         }
                     }
                 }
@@ -396,23 +395,5 @@ async fn reached(phase: &mut watch::Receiver<Phase>, wanted: Phase) {
     // Without a sender the workers are being dropped and this task with them.
     if phase.wait_for(|phase| *phase >= wanted).await.is_err() {
         std::future::pending::<()>().await;
-    }
-}
-
-/// Pauses that double from the shortest to the longest.
-struct Backoff {
-    next: Duration,
-}
-
-impl Default for Backoff {
-    fn default() -> Self {
-        Self { next: BACKOFF.0 }
-    }
-}
-
-impl Backoff {
-    async fn pause(&mut self) {
-        sleep(self.next).await;
-        self.next = (self.next * 2).min(BACKOFF.1);
     }
 }

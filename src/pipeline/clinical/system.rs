@@ -92,8 +92,7 @@ impl System {
 
     /// Steps of the gates' parameters and of the shared ones. What would be driven beyond a limit goes there, and the others move with it.
     pub(super) fn step(&self, damping: f64, state: &State, plan: &Plan) -> Option<Step> {
-        let (blocks, corner) = self.damped(damping);
-        let mut damped = Self { blocks, corner, ..self.clone() };
+        let mut damped = self.damped(damping);
         loop {
             let arrow = damped.arrow()?;
             let (mut gates, mut shared) = (damped.gate_sides.clone(), damped.shared_side.clone());
@@ -115,19 +114,18 @@ impl System {
     }
 
     /// A little more on the diagonal: what nothing determines stays where it is.
-    fn damped(&self, damping: f64) -> (Vec<Block>, Vec<f64>) {
+    fn damped(&self, damping: f64) -> Self {
         let damp = |matrix: &mut [f64], n: usize| {
             for i in 0..n {
                 matrix[i * n + i] = (1.0 + damping) * matrix[i * n + i] + 1e-6;
             }
         };
-        let mut blocks = self.blocks.clone();
-        for block in &mut blocks {
+        let mut damped = self.clone();
+        for block in &mut damped.blocks {
             damp(&mut block.own, LOCAL);
         }
-        let mut corner = self.corner.clone();
-        damp(&mut corner, self.shared);
-        (blocks, corner)
+        damp(&mut damped.corner, self.shared);
+        damped
     }
 
     /// The factorised system without damping.
