@@ -3,13 +3,13 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test chaos lint openapi tables accuracy
+.PHONY: help demo build test chaos bench-queue lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
 
 help: ## lists the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: build ## starts the service, posts a beating phantom as DICOM, shows the result (ONCE=1: then exits)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" demo $(if $(ONCE),--once)
@@ -21,12 +21,16 @@ test: ## installs what the tests need on Debian, then runs all of them
 	@tests/tools/prepare.sh
 	@tests/tools/run.sh
 
-# As long as a person likes; the tests of CI do the same with fewer.
+# As long as a person likes; the tests of CI do the same with fewer. On PostgreSQL a kill is a round: a node killed, one paused beyond its
+# lease, one replaced, the listeners cut off and the database crashed.
 CHAOS_JOBS ?= 500
 CHAOS_KILLS ?= 8
 
-chaos: ## kills the service at random times under 500 real jobs, and says what came of them
-	CHAOS_JOBS=$(CHAOS_JOBS) CHAOS_KILLS=$(CHAOS_KILLS) cargo test --release --locked --test it chaos:: -- --nocapture
+chaos: ## kills services and databases at random times under 500 real jobs each, and says what came of them
+	CHAOS_JOBS=$(CHAOS_JOBS) CHAOS_KILLS=$(CHAOS_KILLS) cargo test --release --locked --test it chaos:: -- --nocapture --test-threads 1
+
+bench-queue: ## measures what the queue carries and what more nodes bring (about five minutes)
+	cargo bench --locked --bench queue
 
 lint: ## formatting, clippy, documentation, licences and advisories
 	cargo fmt --check

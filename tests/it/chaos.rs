@@ -1,16 +1,17 @@
 //! Whatever is done to the service, what was accepted is finished, with its result, once in effect: `make chaos`. The tests of CI do
 //! the same with fewer jobs (`CHAOS_JOBS`, `CHAOS_KILLS`).
 
-use crate::served::{Directory, Served};
-use rand::{Rng, SeedableRng};
+mod poison;
+mod postgres;
+mod sqlite;
+
+use crate::served::Served;
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
-use sqlx::{ConnectOptions, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use std::{
     collections::BTreeSet,
-    path::Path,
-    process::Command,
     sync::{
-        Mutex,
+        Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread,
@@ -34,29 +35,47 @@ impl Plan {
         let number = |name: &str, otherwise: usize| std::env::var(name).ok().map_or(otherwise, |text| text.parse().unwrap());
         Self { jobs: number("CHAOS_JOBS", jobs), kills: number("CHAOS_KILLS", kills) }
     }
+
+    /// Waits a random time, so that what is done is spread over the run.
+    fn pause(&self, random: &mut ChaCha8Rng) {
+        let most_ms = 128 * self.jobs / self.kills.max(1);
+        thread::sleep(Duration::from_millis(300 + random.next_u64() % most_ms.max(1) as u64));
+    }
+}
+
+/// Two runs at once would kill each other's time: each has the machine to itself.
+static ALONE: Mutex<()> = Mutex::new(());
+
+fn alone() -> std::sync::MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A small real study: one gate on a coarse grid, so that a job is a fraction of a second.
-fn study(gates: usize, grid: Grid) -> Vec<u8> {
-    let imaging = Imaging { gates, grid, ..Imaging::default() };
+fn study() -> Vec<u8> {
+    let imaging = Imaging { gates: 1, grid: Grid { shape: [24, 32, 32], spacing_mm: [6.4; 3] }, ..Imaging::default() };
     let phantom = Phantom { imaging, ..Phantom::of(Shape::Ventricle(Ventricle::NORMAL)) };
     phantom::dicom::write(&phantom::simulate(&phantom).unwrap().study).unwrap()
 }
 
-const COARSE: Grid = Grid { shape: [24, 32, 32], spacing_mm: [6.4; 3] };
 /// The quickest real reconstruction.
 const QUICK: &str = "preset=clinical&refine.enabled=false&mesh.level=2";
+/// Few enough places for clients to be refused, and more than they can fill between two kills of a slow machine.
+const PLACES: [&str; 2] = ["--max-queued-jobs", "8"];
 
-/// Where the service listens now; it changes with every restart.
+/// Where a service listens now; it changes with every restart.
 struct Address(Mutex<String>);
 
 impl Address {
+    fn of(service: &Served) -> Self {
+        Self(Mutex::new(service.url.clone()))
+    }
+
     fn get(&self) -> String {
         self.0.lock().unwrap().clone()
     }
 
-    fn set(&self, url: &str) {
-        url.clone_into(&mut self.0.lock().unwrap());
+    fn set(&self, service: &Served) {
+        self.0.lock().unwrap().clone_from(&service.url);
     }
 }
 
@@ -65,176 +84,146 @@ impl Address {
 struct Seen {
     accepted: Mutex<BTreeSet<String>>,
     unanswered: AtomicUsize,
+    unavailable: AtomicUsize,
     full: AtomicUsize,
 }
 
-/// Posts one job as a careful client does: with a key, again when there was no answer, later when the queue is full.
-fn post(agent: &ureq::Agent, address: &Address, seen: &Seen, key: &str, body: &[u8]) {
-    let deadline = Instant::now() + Duration::from_mins(5);
-    loop {
+impl Seen {
+    fn accepted(&self) -> BTreeSet<String> {
+        self.accepted.lock().unwrap().clone()
+    }
+
+    fn say(&self, engine: &str, done: &str, executions: usize, began: Instant) {
+        println!(
+            "{engine}: {} jobs accepted and succeeded; {done}; {executions} executions; {} requests without an answer, {} refused for the \
+             queue being full and {} for the store being away, all sent again and accepted; {:.0} s",
+            self.accepted().len(),
+            self.unanswered.load(Ordering::Relaxed),
+            self.full.load(Ordering::Relaxed),
+            self.unavailable.load(Ordering::Relaxed),
+            began.elapsed().as_secs_f64()
+        );
+    }
+}
+
+/// One job to post.
+struct Posted<'a> {
+    key: &'a str,
+    query: &'a str,
+    body: &'a [u8],
+}
+
+/// Posts one job as a careful client does: with a key, to a first address and to the next when there was no answer, after `Retry-After`
+/// when refused. Returns the job's id.
+fn post(agent: &ureq::Agent, addresses: &[Address], first: usize, seen: &Seen, posted: &Posted<'_>) -> String {
+    let (key, deadline) = (posted.key, Instant::now() + Duration::from_mins(5));
+    for address in addresses.iter().cycle().skip(first) {
         assert!(Instant::now() < deadline, "{key} was not accepted in five minutes");
         let request = agent
-            .post(format!("{}/v1/reconstructions?{QUICK}", address.get()))
+            .post(format!("{}/v1/reconstructions?{}", address.get(), posted.query))
             .header("content-type", "application/dicom")
             .header("idempotency-key", key);
-        let Ok(mut answer) = request.send(body) else {
+        let Ok(mut answer) = request.send(posted.body) else {
             seen.unanswered.fetch_add(1, Ordering::Relaxed);
             thread::sleep(Duration::from_millis(50));
             continue;
         };
-        match answer.status().as_u16() {
+        let status = answer.status().as_u16();
+        let Ok(text) = answer.body_mut().read_to_string() else {
+            seen.unanswered.fetch_add(1, Ordering::Relaxed);
+            continue;
+        };
+        let body: serde_json::Value = serde_json::from_str(&text).unwrap();
+        match status {
             200 | 202 => {
-                let Ok(text) = answer.body_mut().read_to_string() else {
-                    seen.unanswered.fetch_add(1, Ordering::Relaxed);
-                    continue;
-                };
-                let job: serde_json::Value = serde_json::from_str(&text).unwrap();
-                seen.accepted.lock().unwrap().insert(job["id"].as_str().unwrap().to_owned());
-                return;
+                let id = body["id"].as_str().unwrap().to_owned();
+                seen.accepted.lock().unwrap().insert(id.clone());
+                return id;
             }
             503 => {
-                seen.full.fetch_add(1, Ordering::Relaxed);
+                let refused = if body["code"] == "queue_full" { &seen.full } else { &seen.unavailable };
+                refused.fetch_add(1, Ordering::Relaxed);
                 let pause = answer.headers().get("retry-after").expect("a 503 says when to come back").to_str().unwrap();
                 thread::sleep(Duration::from_secs(pause.parse().unwrap()));
             }
-            status => panic!("{key}: {status} {}", answer.body_mut().read_to_string().unwrap_or_default()),
+            _ => panic!("{key}: {status} {text}"),
         }
     }
+    unreachable!("addresses are cycled through")
 }
 
 fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_secs(30))).build().new_agent()
 }
 
-/// Posts all jobs from several clients while `meanwhile` runs.
-fn post_all<T>(jobs: usize, address: &Address, seen: &Seen, body: &[u8], meanwhile: impl FnOnce(&AtomicBool) -> T) -> T {
-    let (next, done) = (AtomicUsize::new(0), AtomicBool::new(false));
+/// Posts so many jobs from several clients while `meanwhile` runs, and more until it has ended; returns what it returned.
+fn post_all<T>(jobs: usize, addresses: &[Address], seen: &Seen, meanwhile: impl FnOnce() -> T) -> T {
+    let body = study();
+    let (next, over) = (AtomicUsize::new(0), AtomicBool::new(false));
     thread::scope(|scope| {
-        let clients: Vec<_> = (0..4)
-            .map(|_| {
-                scope.spawn(|| {
-                    let agent = agent();
-                    loop {
-                        let number = next.fetch_add(1, Ordering::Relaxed);
-                        if number >= jobs {
-                            return;
-                        }
-                        post(&agent, address, seen, &format!("job-{number}"), body);
+        for client in 0..4 {
+            let (body, next, over) = (&body, &next, &over);
+            scope.spawn(move || {
+                let agent = agent();
+                loop {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    if number >= jobs && over.load(Ordering::Relaxed) {
+                        return;
                     }
-                })
-            })
-            .collect();
-        scope.spawn(|| {
-            for client in clients {
-                client.join().unwrap();
-            }
-            done.store(true, Ordering::Relaxed);
-        });
-        meanwhile(&done)
+                    let posted = Posted { key: &format!("job-{number}"), query: QUICK, body };
+                    post(&agent, addresses, (client + number) % addresses.len(), seen, &posted);
+                }
+            });
+        }
+        // However it ends, the clients do too.
+        let _over = SetWhenDropped(&over);
+        meanwhile()
     })
 }
 
-#[test]
-fn sqlite_loses_nothing_to_kills_at_random_times() {
-    let plan = Plan::of(40, 3);
-    let data = Directory::new("chaos");
-    let body = study(1, COARSE);
-    let flags = ["--threads-per-worker", "1", "--workers", "2"];
-    let workers = 2;
-    let seed = 20;
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut service = Served::start(&data.0, &flags);
-    let address = Address(Mutex::new(service.url.clone()));
-    let seen = Seen::default();
-    let began = Instant::now();
-    let mut kills = 0;
-    service = post_all(plan.jobs, &address, &seen, &body, |done| {
-        while kills < plan.kills || !done.load(Ordering::Relaxed) {
-            if kills == plan.kills {
-                thread::sleep(Duration::from_millis(20));
-                continue;
-            }
-            thread::sleep(Duration::from_millis(300 + u64::from(random.next_u32() % 1700)));
-            service.kill();
-            kills += 1;
-            service = Served::start(&data.0, &flags);
-            address.set(&service.url);
-        }
-        service
-    });
-    let accepted = seen.accepted.lock().unwrap().clone();
-    let mut attempts = 0;
-    for id in &accepted {
+struct SetWhenDropped<'a>(&'a AtomicBool);
+
+impl Drop for SetWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The jobs' attempts once all have succeeded.
+fn executions(service: &Served, accepted: &BTreeSet<String>) -> usize {
+    let attempts = accepted.iter().map(|id| {
         let job = service.finished(id, Duration::from_mins(5));
         assert_eq!(job["state"], "succeeded", "{job}");
-        attempts += usize::try_from(job["attempt"].as_u64().unwrap()).unwrap();
-    }
-    println!(
-        "SQLite: {} jobs accepted and succeeded, {kills} kills, {attempts} executions, {} requests without an answer, {} times full, {:.0} s",
-        accepted.len(),
-        seen.unanswered.load(Ordering::Relaxed),
-        seen.full.load(Ordering::Relaxed),
-        began.elapsed().as_secs_f64()
-    );
-    assert_eq!(accepted.len(), plan.jobs);
-    assert!(attempts <= plan.jobs + kills * workers, "{attempts} executions");
-    service.kill();
-    tokio::runtime::Runtime::new().unwrap().block_on(assert_whole(&data.0, plan.jobs));
+        usize::try_from(job["attempt"].as_u64().unwrap()).unwrap()
+    });
+    attempts.sum()
 }
 
-/// What the file says when nobody has it: as many jobs as were accepted, each with its report, and nothing else.
-async fn assert_whole(data: &Path, jobs: usize) {
-    let mut database = SqliteConnectOptions::new().filename(data.join("ventricle.sqlite")).connect().await.unwrap();
-    let count =
-        async |database: &mut SqliteConnection, sql: &'static str| -> i64 { sqlx::query_scalar(sql).fetch_one(database).await.unwrap() };
-    let wanted = i64::try_from(jobs).unwrap();
-    assert_eq!(count(&mut database, "SELECT COUNT(*) FROM jobs").await, wanted, "a job a key");
-    assert_eq!(count(&mut database, "SELECT COUNT(*) FROM jobs WHERE state = 'succeeded'").await, wanted);
-    let without = "SELECT COUNT(*) FROM jobs WHERE NOT EXISTS (SELECT 1 FROM blobs WHERE job_id = jobs.id AND name = 'report')";
-    assert_eq!(count(&mut database, without).await, 0, "jobs without their result");
-    let orphans = "SELECT COUNT(*) FROM blobs WHERE NOT EXISTS (SELECT 1 FROM jobs WHERE id = job_id AND state = 'succeeded')";
-    assert_eq!(count(&mut database, orphans).await, 0, "results without their job");
-    let integrity: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&mut database).await.unwrap();
-    assert_eq!(integrity, "ok");
-    database.close().await.unwrap();
+/// The same study gives the same report, interrupted or not.
+fn assert_reports_agree(service: &Served, accepted: &BTreeSet<String>) {
+    let mut reports = BTreeSet::new();
+    for id in accepted {
+        let mut report = service.get(&format!("/v1/reconstructions/{id}/report")).json();
+        assert_eq!(report["id"], id.as_str());
+        report.as_object_mut().unwrap().retain(|key, _| key != "id" && key != "timing_ms");
+        reports.insert(report.to_string());
+    }
+    assert_eq!(reports.len(), 1);
 }
 
-/// Accepting a job is a promise to keep it: the file is synchronised before each 202.
-#[test]
-fn every_accepted_job_is_synchronised_to_disk() {
-    if Command::new("strace").arg("-V").output().is_err() {
-        crate::shared::absent("strace");
-        return;
-    }
-    let data = Directory::new("fsync");
-    let mut service = Served::start(&data.0, &["--workers", "1"]);
-    let log = data.0.join("strace.log");
-    let mut strace = Command::new("strace")
-        .args(["-f", "-e", "trace=fsync,fdatasync", "-o"])
-        .arg(&log)
-        .args(["-p", &service.id().to_string()])
-        .stderr(std::process::Stdio::null())
-        .spawn()
-        .unwrap();
-    let traced = |service: &Served| {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", service.id())).unwrap();
-        status.lines().any(|line| line.starts_with("TracerPid:") && !line.ends_with("\t0"))
-    };
-    let deadline = Instant::now() + Duration::from_secs(10);
-    while !traced(&service) {
-        assert!(Instant::now() < deadline && service.is_alive(), "strace does not attach");
-        thread::sleep(Duration::from_millis(20));
-    }
-    let syncs = || std::fs::read_to_string(&log).unwrap_or_default().lines().filter(|line| line.contains("sync(")).count();
-    let body = study(1, COARSE);
-    let jobs = 10;
-    let before = syncs();
-    for _ in 0..jobs {
-        assert_eq!(service.post_with(QUICK, "application/dicom", &body).status, 202);
-    }
-    let seen = syncs() - before;
-    strace.kill().unwrap();
-    strace.wait().unwrap();
-    assert!(seen >= jobs, "{seen} synchronisations for {jobs} accepted jobs");
-    println!("{seen} synchronisations while {jobs} jobs were accepted");
-}
+/// Queries of the database when all is done, what each counts, and whether there are to be as many as jobs, or none.
+const COUNTS: [(&str, &str, bool); 5] = [
+    ("jobs, one a key", "SELECT COUNT(*) FROM jobs", true),
+    ("jobs that succeeded", "SELECT COUNT(*) FROM jobs WHERE state = 'succeeded' AND lease_owner IS NULL", true),
+    ("reports", "SELECT COUNT(*) FROM blobs WHERE name = 'report'", true),
+    (
+        "jobs without their result",
+        "SELECT COUNT(*) FROM jobs WHERE NOT EXISTS (SELECT 1 FROM blobs WHERE job_id = jobs.id AND name = 'report')",
+        false,
+    ),
+    (
+        "results without their job",
+        "SELECT COUNT(*) FROM blobs WHERE NOT EXISTS (SELECT 1 FROM jobs WHERE id = job_id AND state = 'succeeded')",
+        false,
+    ),
+];

@@ -3,6 +3,7 @@
 
 mod accuracy;
 mod chaos;
+mod cluster;
 mod demo;
 mod hostile;
 mod http;

@@ -94,6 +94,11 @@ impl Served {
         answer(self.agent.get(format!("{}{path}", self.url)).call().unwrap())
     }
 
+    /// Nothing where the process ended meanwhile.
+    pub(crate) fn try_get(&self, path: &str) -> Option<Answer> {
+        self.agent.get(format!("{}{path}", self.url)).call().ok().and_then(try_answer)
+    }
+
     pub(crate) fn post(&self, media_type: &str, body: &[u8]) -> Answer {
         self.post_with("", media_type, body)
     }
@@ -131,11 +136,12 @@ impl Drop for Served {
     }
 }
 
-fn answer(mut response: ureq::http::Response<ureq::Body>) -> Answer {
+fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
+    try_answer(response).unwrap()
+}
+
+fn try_answer(mut response: ureq::http::Response<ureq::Body>) -> Option<Answer> {
     let media_type = response.headers().get("content-type").map(|value| value.to_str().unwrap().to_owned()).unwrap_or_default();
-    Answer {
-        status: response.status().as_u16(),
-        media_type,
-        body: response.body_mut().with_config().limit(64 << 20).read_to_vec().unwrap(),
-    }
+    let body = response.body_mut().with_config().limit(64 << 20).read_to_vec().ok()?;
+    Some(Answer { status: response.status().as_u16(), media_type, body })
 }

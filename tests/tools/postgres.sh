@@ -3,17 +3,18 @@
 # trusts whoever reaches it.
 #
 #   postgres.sh start DIRECTORY     makes it (the directory must not be there), starts it, prints its URL
+#   postgres.sh durable DIRECTORY   the same, with every commit synchronised to disk
 #   postgres.sh crash DIRECTORY     ends it as a crash would and starts it again on the same port
 #   postgres.sh stop DIRECTORY      stops and deletes it
 #
 # `start` ends with status 3 where PostgreSQL is not installed. fsync is off, which makes the tests of the store several times as fast
 # and takes nothing from them: what they crash are processes, and what was written outlives those in the kernel's cache. It would be
-# lost with the machine, which no test here can crash; so take no measurements of commits on this cluster.
+# lost with the machine, which no test here can crash. Measurements of commits need `durable`.
 set -euo pipefail
 
 action=${1:-} directory=${2:-}
-if [[ -z $directory ]] || [[ ! $action =~ ^(start|crash|stop)$ ]]; then
-  sed -n '2,7s/^# \{0,1\}//p' "$0" >&2
+if [[ -z $directory ]] || [[ ! $action =~ ^(start|durable|crash|stop)$ ]]; then
+  sed -n '2,8s/^# \{0,1\}//p' "$0" >&2
   exit 2
 fi
 
@@ -36,7 +37,7 @@ fi
 unprivileged() { (cd / && "${as_other[@]}" "$@"); }
 
 case $action in
-  start)
+  start | durable)
     mkdir -p "$(dirname "$directory")"
     mkdir "$directory"
     if ((${#as_other[@]})); then chown "$user" "$directory"; fi
@@ -47,7 +48,7 @@ case $action in
     for _ in {1..20}; do
       port=$((20000 + RANDOM % 12000))
       options="-c listen_addresses=127.0.0.1 -c port=$port -c unix_socket_directories= -c max_connections=200"
-      options+=" -c fsync=off -c full_page_writes=off"
+      [[ $action == durable ]] || options+=" -c fsync=off -c full_page_writes=off"
       if unprivileged "$bin/pg_ctl" start --silent --wait --pgdata "$directory/data" --log "$directory/log" --options "$options" \
         >/dev/null 2>&1; then
         echo "postgres://ventricle@127.0.0.1:$port/postgres"
