@@ -52,6 +52,14 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_MAX_BODY_MB", default_value = "64", value_parser = clap::value_parser!(u64).range(1..=2048))]
     pub max_body_mb: u64,
 
+    /// Largest request with DICOM instances (`/dicom-web/studies`) in MiB, of which each may have `--max-body-mb`; a larger one is answered 413.
+    #[arg(long, env = "VENTRICLE_MAX_STUDY_MB", default_value = "1024", value_parser = clap::value_parser!(u64).range(1..=65536))]
+    pub max_study_mb: u64,
+
+    /// Seconds without a further instance after which a series that does not say how many it has is reconstructed as it is.
+    #[arg(long, env = "VENTRICLE_QUIET_SECONDS", default_value = "10", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub quiet_seconds: u64,
+
     /// Jobs that may wait; more are answered 503 with `Retry-After`.
     #[arg(long, env = "VENTRICLE_MAX_QUEUED_JOBS", default_value = "1000", value_parser = clap::value_parser!(u64).range(1..))]
     pub max_queued_jobs: u64,

@@ -22,6 +22,7 @@
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod accuracy;
+pub mod assembly;
 pub mod callbacks;
 pub mod config;
 pub mod drawing;

@@ -146,7 +146,7 @@ pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Byt
     tokio::time::timeout(within, collect(body, limit)).await.unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
 }
 
-async fn collect(body: Body, limit: u64) -> Result<Bytes, BodyError> {
+pub(super) async fn collect(body: Body, limit: u64) -> Result<Bytes, BodyError> {
     let mut chunks = body.into_data_stream();
     let mut bytes = Vec::new();
     while let Some(chunk) = chunks.next().await {
@@ -185,8 +185,8 @@ impl Upload {
     /// Takes a body apart by its `Content-Type`. What is not multipart is one file.
     pub(super) fn new(content_type: Option<&str>, bytes: Bytes) -> Result<Self, BodyError> {
         let media_type = content_type.map(essence).filter(|essence| !essence.is_empty());
-        match (content_type, media_type.as_deref()) {
-            (Some(content_type), Some(multipart)) if multipart.starts_with("multipart/") => {
+        match content_type {
+            Some(content_type) if is_multipart(content_type) => {
                 let boundary = boundary(content_type).ok_or(BodyError::NoBoundary)?;
                 let malformed = BodyError::Multipart { why: "it never ends".into() };
                 // The one chunk is there, so the parser never waits.
@@ -243,13 +243,18 @@ async fn parts(boundary: String, bytes: Bytes) -> Result<Upload, BodyError> {
     Ok(upload)
 }
 
+/// Whether a body of this `Content-Type` has parts.
+pub(super) fn is_multipart(content_type: &str) -> bool {
+    essence(content_type).starts_with("multipart/")
+}
+
 /// A media type without its parameters, in lower case.
 fn essence(content_type: &str) -> String {
     content_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
 /// The boundary of a multipart `Content-Type`, quoted or not and longer than the grammar allows: PACS send such.
-fn boundary(content_type: &str) -> Option<String> {
+pub(super) fn boundary(content_type: &str) -> Option<String> {
     let mut rest = content_type.split_once(';')?.1;
     loop {
         let (name, value) = rest.trim_start().split_once('=')?;

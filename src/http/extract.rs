@@ -3,7 +3,7 @@
 use super::problem::Problem;
 use axum::{
     extract::{FromRequestParts, Path},
-    http::request::Parts,
+    http::{StatusCode, request::Parts},
 };
 use serde::de::DeserializeOwned;
 use uuid::Uuid;
@@ -41,5 +41,23 @@ impl<S: Send + Sync> FromRequestParts<S> for IdAndGate {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
         let Path((id, gate)) = Path::from_request_parts(parts, state).await?;
         Ok(Self(id, gate))
+    }
+}
+
+/// A Study Instance UID in the path.
+pub(super) struct StudyUid(pub String);
+
+impl<S: Send + Sync> FromRequestParts<S> for StudyUid {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let Path(uid) = Path::<String>::from_request_parts(parts, state).await?;
+        // PS3.5 §9.1.
+        if !uid.is_empty() && uid.len() <= 64 && uid.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
+            Ok(Self(uid))
+        } else {
+            let detail = "The address holds no Study Instance UID: digits and dots, at most 64 characters.";
+            Err(Problem::new(StatusCode::NOT_FOUND, "not_found", detail))
+        }
     }
 }

@@ -6,6 +6,7 @@
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
 mod body;
+mod dicomweb;
 mod docs;
 mod events;
 mod extract;
@@ -24,7 +25,14 @@ pub use problem::Problem;
 pub use service::{Running, ServeError, serve, start};
 pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressView, callback_body};
 
-use crate::{callbacks::Rules, config::Cors, intake, jobs::Store, telemetry};
+use crate::{
+    assembly::{self, Assembler},
+    callbacks::Rules,
+    config::Cors,
+    intake,
+    jobs::Store,
+    telemetry,
+};
 use axum::{Router, http::StatusCode, middleware};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::{path::PathBuf, sync::Arc, time::Duration};
@@ -38,6 +46,10 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 const PARSED_AT_ONCE: usize = 2;
 /// Time an answer may take: the longest wait a client can ask for, and as much again as a loaded disk needs.
 const ANSWER_TIME: Duration = Duration::from_secs(45);
+/// Most bytes of a request with a whole study, if nothing else is said: rest and stress with projections, CT and screens were seen to have 300 MB.
+const STUDY_BYTES: u64 = 1 << 30;
+/// Pause after which a series is taken as it is, if nothing else is said: PACS send one instance right after the other.
+const QUIET: Duration = Duration::from_secs(10);
 /// Longest a client may have its job kept, if nothing else is said: a year.
 const LONGEST_RETENTION: Duration = Duration::from_hours(365 * 24);
 
@@ -46,6 +58,10 @@ const LONGEST_RETENTION: Duration = Duration::from_hours(365 * 24);
 pub struct AppState {
     store: Store,
     limits: Arc<intake::Limits>,
+    /// Most bytes of a request that holds a whole study, of which most may be none of ours.
+    study_bytes: u64,
+    /// When a series that does not say how much of it there is goes without more.
+    quiet: Duration,
     upload_time: Duration,
     longest_retention: Duration,
     parsers: Arc<Semaphore>,
@@ -71,6 +87,8 @@ impl AppState {
         Self {
             store,
             limits: Arc::default(),
+            study_bytes: STUDY_BYTES,
+            quiet: QUIET,
             upload_time: Duration::from_mins(2),
             longest_retention: LONGEST_RETENTION,
             parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
@@ -89,6 +107,12 @@ impl AppState {
     pub fn with_body_limit(mut self, bytes: usize) -> Self {
         self.limits = Arc::new(intake::Limits { body_bytes: bytes, ..intake::Limits::default() });
         self
+    }
+
+    /// With another limit on the bytes of a request that holds a whole study, and another time after which a series is taken as it is.
+    #[must_use]
+    pub fn with_studies(self, study_bytes: u64, quiet: Duration) -> Self {
+        Self { study_bytes, quiet, ..self }
     }
 
     /// With another time for a body to arrive.
@@ -132,6 +156,21 @@ impl AppState {
         self.draining.clone()
     }
 
+    /// What puts studies together from DICOM instances.
+    pub fn assembler(&self) -> Assembler {
+        let settings = assembly::Settings {
+            limits: intake::Limits::clone(&self.limits),
+            quiet: self.quiet,
+            callback_url: self.callbacks.as_ref().and_then(|rules| rules.default_url.clone()),
+        };
+        Assembler::new(self.store.clone(), settings, Arc::clone(&self.parsers))
+    }
+
+    /// Time that a request with a whole study may take to arrive: as much as its bytes would in requests of the usual size.
+    fn study_time(&self) -> Duration {
+        self.upload_time * u32::try_from(self.study_bytes.div_ceil(self.limits.body_bytes.max(1) as u64)).unwrap_or(u32::MAX)
+    }
+
     fn accepts_work(&self) -> Result<(), Problem> {
         if self.draining.is_cancelled() { Err(Problem::draining()) } else { Ok(()) }
     }
@@ -173,7 +212,11 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(docs::openapi))
         .layer(timeout());
     // A submission has its own time for the body, and none for being parsed: its place is taken and its size known.
-    OpenApiRouter::with_openapi(docs::Contract::openapi()).routes(routes!(reconstructions::submit)).merge(timely)
+    OpenApiRouter::with_openapi(docs::Contract::openapi())
+        .routes(routes!(reconstructions::submit))
+        .routes(routes!(dicomweb::store))
+        .routes(routes!(dicomweb::store_of_study))
+        .merge(timely)
 }
 
 /// The whole service as one router.

@@ -33,8 +33,6 @@ use uuid::Uuid;
 
 /// Longest idempotency key: enough for any UUID or digest a client derives.
 const LONGEST_KEY: usize = 255;
-/// The one owner of all jobs, as long as the service asks nobody for a key.
-const OWNER: &str = "anonymous";
 
 /// Query of a submission.
 #[derive(Debug, IntoParams)]
@@ -204,7 +202,7 @@ fn receive(
     let parameters = parameters::resolve(request)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
     pose::check_marks(&received.study.grid, &parameters.pose)?;
-    Ok(NewJob { owner: OWNER.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url })
+    Ok(NewJob { owner: jobs::ANONYMOUS.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url })
 }
 
 /// Who is told of the job's end: the URL asked for, if it may be called, else the operator's.

@@ -2,6 +2,7 @@
 
 use super::{AppState, listener, router, views};
 use crate::{
+    assembly,
     callbacks::{self, AllowError, Allowed, Deliveries, DeliverySettings, RootsError, Rules, Sender, Signer, TargetError},
     config::{ConfigError, ServeSettings},
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
@@ -59,6 +60,7 @@ pub struct Running {
     listener: JoinHandle<()>,
     workers: Arc<Workers>,
     deliveries: Option<Deliveries>,
+    _assembly: assembly::Watch,
     store: Store,
     drain_time: Duration,
 }
@@ -106,9 +108,10 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
         state = state.with_callbacks(rules);
         deliveries = Some(callbacks::start(store.clone(), settings));
     }
+    let assembly = state.assembler().watch();
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
-    Ok(Running { address, draining, closing, listener, workers, deliveries, store, drain_time: settings.drain_time() })
+    Ok(Running { address, draining, closing, listener, workers, deliveries, _assembly: assembly, store, drain_time: settings.drain_time() })
 }
 
 /// Runs the service until SIGTERM or SIGINT, then stops it in order.
@@ -174,6 +177,7 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
     let workers = Arc::clone(workers);
     let state = AppState::new(store.clone())
         .with_body_limit(settings.max_body_bytes() as usize)
+        .with_studies(settings.max_study_mb << 20, Duration::from_secs(settings.quiet_seconds))
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
         .with_longest_retention(settings.longest_retention())
         .with_workers(move || workers.alive())

@@ -53,6 +53,12 @@ pub enum IntakeError {
         /// What the first bytes are.
         begins: String,
     },
+    /// Another format where only DICOM can be.
+    #[error("received {received} where a DICOM file is expected; post other formats to /v1/reconstructions")]
+    NotDicom {
+        /// What it is.
+        received: &'static str,
+    },
     /// Several files that are not one study.
     #[error(
         "the files of the request do not make one study: {reason}; send the files of one series, and each series in a request of its own"
@@ -229,6 +235,7 @@ impl IntakeError {
             Self::TooLarge { bytes: Some(_), .. } => "too_large",
             Self::TooLarge { bytes: None, .. } => "inflates_too_large",
             Self::UnknownFormat { .. } => "unknown_format",
+            Self::NotDicom { .. } => "not_dicom",
             Self::MixedParts { .. } => "mixed_parts",
             Self::InFile { source, .. } => source.code(),
             Self::DicomStructure(scan) => scan.code(),
@@ -268,7 +275,7 @@ impl IntakeError {
             | Self::DamagedPixelData { .. }
             | Self::PixelDataLength { .. }
             | Self::UnreadableDataSet { .. } => Nature::Malformed,
-            Self::UnknownFormat { .. } | Self::UnsupportedTransferSyntax { .. } | Self::UnsupportedNifti { .. } => Nature::Unsupported,
+            Self::UnknownFormat { .. } | Self::NotDicom { .. } | Self::UnsupportedTransferSyntax { .. } | Self::UnsupportedNifti { .. } => Nature::Unsupported,
             Self::MixedParts { .. }
             | Self::NotNuclearMedicine { .. }
             | Self::Projections { .. }

@@ -14,6 +14,7 @@ mod npy;
 mod prescan;
 mod sniff;
 
+pub use dicom::{Holds, Instance, Refused, examine};
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;
 

@@ -67,6 +67,7 @@ pub(super) enum Value {
     Text(String),
     OptionalText(Option<String>),
     Bytes(Vec<u8>),
+    OptionalBytes(Option<Vec<u8>>),
 }
 
 /// A type both engines can read from a column.
@@ -87,6 +88,7 @@ macro_rules! bound {
                 Value::Text(value) => query.bind(value),
                 Value::OptionalText(value) => query.bind(value),
                 Value::Bytes(value) => query.bind(value),
+                Value::OptionalBytes(value) => query.bind(value),
             };
         }
         query
@@ -345,6 +347,7 @@ value_from! {
     String => Text,
     Option<String> => OptionalText,
     Vec<u8> => Bytes,
+    Option<Vec<u8>> => OptionalBytes,
 }
 
 impl From<&str> for Value {

@@ -16,6 +16,9 @@ pub enum SubmitError {
     /// The owner used this idempotency key before, for another request.
     #[error("This idempotency key was already used for a different request. Use a new key for a new request.")]
     KeyReused,
+    /// The owner has another instance of this UID.
+    #[error("Another instance with this SOP Instance UID is stored already. Delete the job that was made of it first.")]
+    InstanceConflict,
     /// There will never be room for the job: it alone is more than may wait.
     #[error("The study takes {bytes} bytes as it is stored, and all that waits may take {limit}. Send fewer gates, or a smaller matrix.")]
     TooLarge {

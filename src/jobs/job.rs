@@ -95,6 +95,9 @@ pub struct Job {
     pub cancel_requested: bool,
 }
 
+/// The one owner of all jobs, as long as the service asks nobody for a key.
+pub const ANONYMOUS: &str = "anonymous";
+
 /// What is submitted.
 #[derive(Debug, Clone)]
 pub struct NewJob {

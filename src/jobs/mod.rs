@@ -10,6 +10,7 @@
 //! | `job.rs` | what a caller sees of a job |
 //! | [`store`] | the rows: read, list, delete |
 //! | `submit.rs` | how a job is accepted |
+//! | `inbox.rs` | DICOM instances that wait for the rest of their study |
 //! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
@@ -29,6 +30,7 @@ mod deliveries;
 mod ending;
 mod error;
 mod expiry;
+mod inbox;
 pub mod input;
 mod job;
 mod lease;
@@ -46,7 +48,8 @@ mod worker;
 
 pub use deliveries::{Delivery, DeliveryClaim, Settled};
 pub use error::{QueueFull, StoreError, SubmitError};
-pub use job::{Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
+pub use inbox::{Filed, Members, NewInstance, Series, StoredInstance};
+pub use job::{ANONYMOUS, Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
 pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
 pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;

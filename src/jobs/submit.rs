@@ -4,6 +4,7 @@ use super::{
     database::{Transaction, values},
     ending::kept_ms,
     error::{StoreError, SubmitError},
+    inbox::Members,
     input,
     job::{NewJob, Submitted},
     queue::{Load, Reservation},
@@ -14,11 +15,17 @@ use uuid::Uuid;
 impl Store {
     /// Stores a job. When this returns, the job is committed to disk. Runs to its end even if the caller goes away.
     pub async fn submit(&self, reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
-        let store = self.clone();
-        tokio::spawn(async move { store.submit_to_end(reservation, new).await }).await.map_err(|_| StoreError::Interrupted)?
+        self.submit_assembled(reservation, new, Members::None).await
     }
 
-    async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
+    /// Likewise, and notes in the same transaction that the job took these instances. An instance that is a study of its own and was
+    /// submitted before gives the job that was made of it then.
+    pub async fn submit_assembled(&self, reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
+        let store = self.clone();
+        tokio::spawn(async move { store.submit_to_end(reservation, new, members).await }).await.map_err(|_| StoreError::Interrupted)?
+    }
+
+    async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
         let (owner, key, hash) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash);
         let row = tokio::task::spawn_blocking(move || NewRow::prepare(new)).await.map_err(|_| StoreError::Interrupted)??;
         let (id, bytes) = (row.id, row.input.len() as u64);
@@ -30,6 +37,9 @@ impl Store {
         {
             return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
         }
+        if let Some(existing) = self.taken(&mut transaction, &members).await? {
+            return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
+        }
         if bytes > self.inner.queue.limit().bytes {
             return Err(SubmitError::TooLarge { bytes, limit: self.inner.queue.limit().bytes });
         }
@@ -39,6 +49,7 @@ impl Store {
             return Err(self.inner.queue.full().into());
         }
         row.insert(self, &mut transaction).await?;
+        self.take(&mut transaction, &owner, members, id).await?;
         let job = self.get_in(&mut transaction, id).await?;
         transaction.commit().await?;
         reservation.into_queued(bytes);

@@ -62,6 +62,11 @@ const READ: [Tag; 45] = [
 /// Stack of the thread that parses: at most 32 nested sequences of about 8 KiB a level, with a wide margin.
 const STACK_BYTES: usize = 8 << 20;
 
+/// Whether an element of the outermost data set is among those that are read.
+pub(super) fn is_read(element: &Element) -> bool {
+    element.unambiguous && READ.contains(&element.tag)
+}
+
 /// A data set, or an item of a sequence in it.
 #[derive(Debug)]
 pub(super) struct Attributes {
@@ -73,9 +78,8 @@ pub(super) struct Attributes {
 impl Attributes {
     /// Parses the attributes of [`READ`].
     pub(super) fn parse(scan: &Scan<'_>, limits: &Limits) -> Result<Self, IntakeError> {
-        let wanted = |element: &&Element| element.unambiguous && READ.contains(&element.tag);
         let mut excerpt = Vec::new();
-        for element in scan.elements.iter().filter(wanted) {
+        for element in scan.elements.iter().filter(|element| is_read(element)) {
             excerpt.extend_from_slice(&scan.data[element.bytes.clone()]);
             if excerpt.len() > limits.described_bytes {
                 let found = format!("the attributes that describe the images take more than {} bytes", limits.described_bytes);

@@ -8,7 +8,7 @@ use crate::study::Warning;
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 
-const NUCLEAR_MEDICINE: &str = "1.2.840.10008.5.1.4.1.1.20";
+pub(super) const NUCLEAR_MEDICINE: &str = "1.2.840.10008.5.1.4.1.1.20";
 /// Retired, and still written by old cameras.
 const NUCLEAR_MEDICINE_RETIRED: &str = "1.2.840.10008.5.1.4.1.1.5";
 

@@ -7,10 +7,15 @@ mod attributes;
 mod frames;
 mod geometry;
 mod identity;
+mod instance;
 mod object;
+mod parts;
 mod pixels;
 mod series;
 mod timing;
+
+pub use instance::{Instance, Refused, examine};
+pub use parts::Holds;
 
 use super::{IntakeError, Limits, Part, counts};
 use crate::study::{Acquisition, Format, Study, Warning};

@@ -3,7 +3,8 @@
 use super::attributes::{Attributes, invalid};
 use super::identity::{self, Kind};
 use super::pixels::Pixels;
-use crate::intake::{IntakeError, Limits, counts, prescan};
+use crate::intake::prescan::{self, Scan};
+use crate::intake::{IntakeError, Limits, counts};
 use crate::study::Warning;
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
@@ -27,6 +28,11 @@ impl<'a> Object<'a> {
     pub(super) fn read(bytes: &'a [u8], limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
         let scan = prescan::scan(bytes, limits)?;
         let attributes = Attributes::parse(&scan, limits)?;
+        Self::of(scan, attributes, limits, warnings)
+    }
+
+    /// Checks one file that was scanned and parsed.
+    pub(super) fn of(scan: Scan<'a>, attributes: Attributes, limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
         let declared_frames = attributes.integer(tags::NUMBER_OF_FRAMES, "Number of Frames");
         let kind = identity::check(
             &attributes,

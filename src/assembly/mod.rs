@@ -1,0 +1,122 @@
+//! Studies from DICOM instances, as a PACS sends them: in one request or many, a file for all, a file a gate or a file a slice.
+//!
+//! An instance that is a study by itself becomes a job at once. One that is a part is kept, on disk, until the parts of its series are
+//! complete by their own numbers, or until none has come for a while; what cannot be put together then is a failed job that says why, and
+//! is tried again when more of it comes. So everything that was accepted ends in a job.
+
+mod reception;
+mod series;
+
+pub use reception::{Outcome, Received, Reception, Refusal};
+
+use crate::{
+    intake::{self, IntakeError},
+    jobs::{NewJob, Store, StoreError},
+    pipeline::parameters::Parameters,
+    study::Study,
+};
+use sha2::{Digest, Sha256};
+use std::{sync::Arc, time::Duration};
+use tokio::{sync::Semaphore, task::AbortHandle};
+
+/// How often series that went quiet are looked for, at most.
+const LOOKED_EVERY: Duration = Duration::from_secs(1);
+
+/// What puts studies together. Clones share it.
+#[derive(Clone)]
+pub struct Assembler {
+    store: Store,
+    settings: Arc<Settings>,
+    parsers: Arc<Semaphore>,
+}
+
+/// How studies are put together.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// What an instance, and a study, may be.
+    pub limits: intake::Limits,
+    /// A series that does not say how many parts it has is taken as it is when none has come for so long.
+    pub quiet: Duration,
+    /// Who is told of the end of the jobs.
+    pub callback_url: Option<String>,
+}
+
+/// Looks for series that went quiet, until dropped.
+#[derive(Debug)]
+pub struct Watch(AbortHandle);
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+impl Assembler {
+    /// Parsing goes through these permits.
+    pub fn new(store: Store, settings: Settings, parsers: Arc<Semaphore>) -> Self {
+        Self { store, settings: Arc::new(settings), parsers }
+    }
+
+    /// Begins to receive instances of an owner; only of one study, if that is said.
+    pub fn reception(&self, owner: &str, study_uid: Option<String>) -> Reception {
+        Reception::new(self.clone(), owner, study_uid)
+    }
+
+    /// Starts looking for series that went quiet.
+    pub fn watch(&self) -> Watch {
+        let assembler = self.clone();
+        let task = tokio::spawn(async move {
+            let pause = (assembler.settings.quiet / 4).clamp(Duration::from_millis(20), LOOKED_EVERY);
+            loop {
+                tokio::time::sleep(pause).await;
+                if let Err(error) = assembler.assemble_quiet().await {
+                    tracing::warn!(%error, "studies that wait for their rest could not be looked for");
+                }
+            }
+        });
+        Watch(task.abort_handle())
+    }
+
+    /// Runs a parser on a thread that may take its time.
+    async fn parse<T: Send + 'static>(&self, parser: impl FnOnce(&intake::Limits) -> T + Send + 'static) -> Result<T, StoreError> {
+        let settings = Arc::clone(&self.settings);
+        let permit = Arc::clone(&self.parsers).acquire_owned().await.map_err(|_| StoreError::Interrupted)?;
+        let parsed = tokio::task::spawn_blocking(move || {
+            let _permit = permit; // held to the end even if the caller goes away
+            parser(&settings.limits)
+        });
+        parsed.await.map_err(|panic| {
+            tracing::error!(%panic, "a parser panicked");
+            StoreError::Interrupted
+        })
+    }
+
+    /// A job for a study, with the parameters of a request that says nothing.
+    fn new_job(&self, owner: &str, idempotency_key: Option<String>, study: Study, request_hash: [u8; 32]) -> NewJob {
+        NewJob {
+            owner: owner.to_owned(),
+            idempotency_key,
+            request_hash,
+            study,
+            parameters: Parameters::clinical(),
+            retention: None,
+            callback_url: self.settings.callback_url.clone(),
+        }
+    }
+}
+
+/// Reads the study that these files make.
+fn read(files: &[impl AsRef<[u8]>], limits: &intake::Limits) -> Result<Study, IntakeError> {
+    let part = |file| intake::Part { media_type: Some("application/dicom"), filename: None, bytes: file };
+    let parts: Vec<_> = files.iter().map(|file| part(file.as_ref())).collect();
+    Ok(intake::read(&parts, &intake::Options::default(), limits)?.study)
+}
+
+fn digest(parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    for part in parts {
+        hash.update((part.as_ref().len() as u64).to_le_bytes());
+        hash.update(part);
+    }
+    hash.finalize().into()
+}

@@ -1,0 +1,223 @@
+//! The instances of one request or association: each is looked at as it comes, committed to disk, and answered for.
+
+use super::{Assembler, digest, read};
+use crate::{
+    intake::{self, Holds, Instance, IntakeError},
+    jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError},
+};
+use std::collections::BTreeSet;
+use uuid::Uuid;
+
+/// Excerpts held in memory until they are committed together.
+const BATCH_BYTES: usize = 16 << 20;
+
+/// What became of one instance.
+#[derive(Debug)]
+pub struct Outcome {
+    /// SOP Class UID, if it could be read.
+    pub class_uid: Option<String>,
+    /// SOP Instance UID, if it could be read.
+    pub instance_uid: Option<String>,
+    /// Whether it is committed to disk.
+    pub result: Result<(), Refusal>,
+}
+
+/// Why an instance was not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum Refusal {
+    /// It is nothing that can be reconstructed.
+    #[error("{0}")]
+    Intake(#[from] IntakeError),
+    /// It belongs to another study than the request says.
+    #[error("the instance belongs to another study than the one in the address of the request")]
+    OtherStudy,
+    /// It could not be stored.
+    #[error("{0}")]
+    Submit(#[from] SubmitError),
+}
+
+impl From<StoreError> for Refusal {
+    fn from(error: StoreError) -> Self {
+        Self::Submit(error.into())
+    }
+}
+
+impl Refusal {
+    /// Status of C-STORE (PS3.4 table B.2-1, PS3.7 annex C) and Failure Reason of STOW-RS (PS3.18 table I.2-2).
+    pub fn status(&self) -> u16 {
+        match self {
+            Self::Intake(error) => match innermost(error) {
+                IntakeError::NotNuclearMedicine { .. } => 0x0122,
+                IntakeError::UnsupportedTransferSyntax { .. } => 0xC122,
+                IntakeError::Projections { .. } | IntakeError::NotTomographic { .. } => 0xA900,
+                _ => 0xC000,
+            },
+            Self::OtherStudy => 0xA900,
+            Self::Submit(SubmitError::InstanceConflict | SubmitError::KeyReused) => 0x0110,
+            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::Store(_)) => 0xA700,
+        }
+    }
+
+    /// When there may be room, if that is what was missing.
+    pub fn queue_full(&self) -> Option<QueueFull> {
+        if let Self::Submit(SubmitError::QueueFull(full)) = self { Some(*full) } else { None }
+    }
+}
+
+fn innermost(error: &IntakeError) -> &IntakeError {
+    if let IntakeError::InFile { source, .. } = error { innermost(source) } else { error }
+}
+
+/// What became of all of them.
+#[derive(Debug)]
+pub struct Received {
+    /// In the order they came.
+    pub outcomes: Vec<Outcome>,
+    /// The jobs that they made, or had made before.
+    pub jobs: Vec<Uuid>,
+}
+
+/// Receives instances one after the other.
+pub struct Reception {
+    assembler: Assembler,
+    owner: String,
+    study_uid: Option<String>,
+    outcomes: Vec<Outcome>,
+    jobs: Vec<Uuid>,
+    /// Parts that are not committed yet, each with the place of its outcome.
+    waiting: Vec<(usize, NewInstance)>,
+    waiting_bytes: usize,
+    series: BTreeSet<Series>,
+}
+
+/// An instance that was looked at, with its study if it is one.
+struct Examined {
+    instance: Instance,
+    study: Option<crate::study::Study>,
+}
+
+impl Reception {
+    pub(super) fn new(assembler: Assembler, owner: &str, study_uid: Option<String>) -> Self {
+        Self {
+            assembler,
+            owner: owner.to_owned(),
+            study_uid,
+            outcomes: Vec::new(),
+            jobs: Vec::new(),
+            waiting: Vec::new(),
+            waiting_bytes: 0,
+            series: BTreeSet::new(),
+        }
+    }
+
+    /// Takes one instance. What is a study by itself is a job when this returns; a part is committed with others, at the latest by
+    /// [`end`](Self::end).
+    pub async fn take(&mut self, bytes: impl AsRef<[u8]> + Send + 'static) {
+        let examined = self.assembler.parse(move |limits| examine(bytes.as_ref(), limits)).await;
+        let Examined { instance, study } = match examined {
+            Ok(Ok(examined)) => examined,
+            Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err(refused.error.into())),
+            Err(error) => return self.answer(None, None, Err(error.into())),
+        };
+        let names = (Some(instance.class_uid.clone()), Some(instance.instance_uid.clone()));
+        if self.study_uid.as_ref().is_some_and(|wanted| *wanted != instance.study_uid) {
+            return self.answer(names.0, names.1, Err(Refusal::OtherStudy));
+        }
+        let new = self.new_instance(instance);
+        match study {
+            Some(study) => {
+                let submitted = self.submit(study, new).await;
+                self.answer(names.0, names.1, submitted);
+            }
+            None => {
+                self.waiting_bytes += new.data.len();
+                self.waiting.push((self.outcomes.len(), new));
+                self.answer(names.0, names.1, Ok(()));
+                if self.waiting_bytes >= BATCH_BYTES {
+                    self.commit().await;
+                }
+            }
+        }
+    }
+
+    /// Commits what is left, makes jobs of the series that are complete, and says what became of every instance.
+    pub async fn end(mut self) -> Received {
+        self.commit().await;
+        for series in std::mem::take(&mut self.series) {
+            match self.assembler.assemble_if_complete(&series).await {
+                Ok(job) => self.jobs.extend(job),
+                // The instances are safe: they are looked at again when they are quiet.
+                Err(error) => tracing::warn!(%error, "a study could not be put together yet"),
+            }
+        }
+        Received { outcomes: self.outcomes, jobs: self.jobs }
+    }
+
+    fn answer(&mut self, class_uid: Option<String>, instance_uid: Option<String>, result: Result<(), Refusal>) {
+        self.outcomes.push(Outcome { class_uid, instance_uid, result });
+    }
+
+    fn new_instance(&self, instance: Instance) -> NewInstance {
+        let Instance { class_uid, instance_uid, study_uid, series_uid, holds, excerpt } = instance;
+        let holds = serde_json::to_string(&holds).unwrap_or_default();
+        NewInstance { series: Series { owner: self.owner.clone(), study_uid, series_uid }, class_uid, instance_uid, holds, data: excerpt }
+    }
+
+    async fn submit(&mut self, study: crate::study::Study, instance: NewInstance) -> Result<(), Refusal> {
+        let store = &self.assembler.store;
+        let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
+        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.data]));
+        let submitted = store.submit_assembled(reservation, new, Members::Whole(instance)).await?;
+        self.jobs.push(submitted.job().id);
+        Ok(())
+    }
+
+    async fn commit(&mut self) {
+        let (places, instances): (Vec<usize>, Vec<NewInstance>) = std::mem::take(&mut self.waiting).into_iter().unzip();
+        self.waiting_bytes = 0;
+        if instances.is_empty() {
+            return;
+        }
+        let series: Vec<Series> = instances.iter().map(|instance| instance.series.clone()).collect();
+        match self.assembler.store.file(instances).await {
+            Ok(filed) => {
+                for ((place, series), filed) in places.into_iter().zip(series).zip(filed) {
+                    if filed == Filed::Conflict {
+                        self.outcomes[place].result = Err(SubmitError::InstanceConflict.into());
+                    } else {
+                        self.series.insert(series);
+                    }
+                }
+            }
+            Err(error) => {
+                tracing::warn!(%error, "instances could not be stored");
+                for place in places {
+                    self.outcomes[place].result = Err(again(&error));
+                }
+            }
+        }
+    }
+}
+
+/// The same failure, for each of those it concerns.
+fn again(error: &SubmitError) -> Refusal {
+    match error {
+        SubmitError::QueueFull(full) => SubmitError::QueueFull(*full).into(),
+        _ => StoreError::Interrupted.into(),
+    }
+}
+
+fn examine(bytes: &[u8], limits: &intake::Limits) -> Result<Examined, intake::Refused> {
+    let instance = intake::examine(bytes, limits)?;
+    let study = if instance.holds == Holds::Study {
+        let refused = |error| intake::Refused {
+            class_uid: Some(instance.class_uid.clone()),
+            instance_uid: Some(instance.instance_uid.clone()),
+            error,
+        };
+        Some(read(&[bytes], limits).map_err(refused)?)
+    } else {
+        None
+    };
+    Ok(Examined { instance, study })
+}

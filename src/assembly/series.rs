@@ -1,0 +1,89 @@
+//! The parts of a series, put together when all are there or when no more seem to come.
+
+use super::{Assembler, digest, read};
+use crate::{
+    intake::{Holds, IntakeError},
+    jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
+};
+use uuid::Uuid;
+
+/// Why a series is not put together now.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum AssemblyError {
+    #[error(transparent)]
+    Submit(#[from] SubmitError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl Assembler {
+    /// Makes a job of a series if its parts say that all of them are there.
+    pub(super) async fn assemble_if_complete(&self, series: &Series) -> Result<Option<Uuid>, AssemblyError> {
+        let parts = self.store.series(series).await?;
+        if parts.iter().all(|part| part.job.is_some()) || !complete(&parts) {
+            return Ok(None);
+        }
+        self.assemble(series, &parts, false).await
+    }
+
+    /// Makes jobs of the series that went quiet.
+    pub(super) async fn assemble_quiet(&self) -> Result<(), AssemblyError> {
+        for series in self.store.quiet_series(self.settings.quiet).await? {
+            let parts = self.store.series(&series).await?;
+            match self.assemble(&series, &parts, !complete(&parts)).await {
+                Ok(_) => {}
+                // It waits on disk until there is room.
+                Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Uuid>, AssemblyError> {
+        // Of a key that no client can send: it has a space.
+        let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
+        let key = format!("dicom series {}", identity.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+        let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
+        match self.read_series(series, parts).await? {
+            Ok(study) => {
+                let reservation = self.store.reserve(parts.iter().map(|part| part.size).sum()).map_err(SubmitError::from)?;
+                let new = self.new_job(&series.owner, Some(key), study, identity);
+                let submitted = self.store.submit_assembled(reservation, new, Members::Filed { instance_uids, keep }).await?;
+                Ok(Some(submitted.job().id))
+            }
+            Err(error) => {
+                tracing::info!(code = error.code(), "the instances of a series make no study");
+                let error = JobError { code: error.code().to_owned(), message: sentence(&error) };
+                let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
+                Ok(failed.map(|job| job.id))
+            }
+        }
+    }
+
+    async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<crate::study::Study, IntakeError>, StoreError> {
+        let limit = self.settings.limits.body_bytes;
+        let bytes: u64 = parts.iter().map(|part| part.size).sum();
+        if bytes > limit as u64 {
+            return Ok(Err(IntakeError::TooLarge { what: "the series", bytes: Some(bytes as usize), limit }));
+        }
+        let mut files = Vec::with_capacity(parts.len());
+        for part in parts {
+            files.extend(self.store.excerpt(&series.owner, &part.instance_uid).await?);
+        }
+        self.parse(move |limits| read(&files, limits)).await
+    }
+}
+
+fn complete(parts: &[StoredInstance]) -> bool {
+    let holds: Option<Vec<Holds>> = parts.iter().map(|part| serde_json::from_str(&part.holds).ok()).collect();
+    holds.is_some_and(|holds| Holds::complete(&holds))
+}
+
+/// An error as the sentence of a problem document.
+fn sentence(error: &IntakeError) -> String {
+    let text = error.to_string();
+    let mut characters = text.chars();
+    let first = characters.next().map(|first| first.to_uppercase().to_string()).unwrap_or_default();
+    format!("{first}{}.", characters.as_str().trim_end_matches('.'))
+}

@@ -1,0 +1,234 @@
+//! DICOM instances that wait for the rest of their study, and which job took them. What is stored is an excerpt that names nobody.
+
+use super::{
+    database::{Transaction, values},
+    error::{StoreError, SubmitError},
+    job::JobError,
+    lease::milliseconds,
+    store::{Store, finished, parse_id, sha256},
+};
+use crate::jobs::{Job, State};
+use std::time::Duration;
+use uuid::Uuid;
+
+/// A series of an owner.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Series {
+    /// Whose it is.
+    pub owner: String,
+    /// Study Instance UID.
+    pub study_uid: String,
+    /// Series Instance UID.
+    pub series_uid: String,
+}
+
+/// An instance to be stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NewInstance {
+    /// The series it belongs to.
+    pub series: Series,
+    /// SOP Class UID.
+    pub class_uid: String,
+    /// SOP Instance UID, unique for its owner.
+    pub instance_uid: String,
+    /// Which part of a study it is, as whoever assembles it wrote it down.
+    pub holds: String,
+    /// The excerpt.
+    pub data: Vec<u8>,
+}
+
+/// The instances that a new job is made of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Members {
+    /// It did not come by instances.
+    None,
+    /// One that is a study of its own and not stored yet. Its excerpt is not kept, as the job has the study.
+    Whole(NewInstance),
+    /// Some that were [filed](Store::file).
+    Filed {
+        /// SOP Instance UIDs.
+        instance_uids: Vec<String>,
+        /// Whether their excerpts are kept as long as the job, so that the study can be put together again when more of it comes.
+        keep: bool,
+    },
+}
+
+/// What became of an instance that waits for others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Filed {
+    /// It is committed to disk.
+    New,
+    /// It was there already.
+    Known,
+    /// Another one of this UID is there.
+    Conflict,
+}
+
+/// An instance whose excerpt is stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredInstance {
+    /// SOP Instance UID.
+    pub instance_uid: String,
+    /// Which part of a study it is.
+    pub holds: String,
+    /// SHA-256 of the excerpt.
+    pub sha256: String,
+    /// Bytes of the excerpt.
+    pub size: u64,
+    /// The job that took it last, if one has.
+    pub job: Option<Uuid>,
+}
+
+impl Store {
+    /// Stores instances that wait for others, all or none. When this returns, they are committed to disk. Runs to its end even if the caller
+    /// goes away.
+    pub async fn file(&self, instances: Vec<NewInstance>) -> Result<Vec<Filed>, SubmitError> {
+        let store = self.clone();
+        tokio::spawn(async move { store.file_to_end(instances).await }).await.map_err(|_| StoreError::Interrupted)?
+    }
+
+    async fn file_to_end(&self, instances: Vec<NewInstance>) -> Result<Vec<Filed>, SubmitError> {
+        let mut transaction = self.inner.database.begin().await?;
+        transaction.fetch(&self.inner.database.render("{lock_queue}"), vec![]).await?;
+        let mut filed = Vec::with_capacity(instances.len());
+        for instance in instances {
+            filed.push(match known(&mut transaction, &instance).await? {
+                None => {
+                    self.insert_instance(&mut transaction, instance, None).await?;
+                    Filed::New
+                }
+                Some(Known { same: true, .. }) => Filed::Known,
+                Some(Known { same: false, .. }) => Filed::Conflict,
+            });
+        }
+        // What waits for its rest is bounded as what waits for a worker is.
+        let row = transaction.fetch_one("SELECT CAST(COALESCE(SUM(size), 0) AS BIGINT) FROM instances WHERE job_id IS NULL", vec![]).await?;
+        if row.map_or(Ok(0), |row| row.get::<i64>(0))? as u64 > self.inner.queue.limit().bytes {
+            return Err(self.inner.queue.full().into());
+        }
+        transaction.commit().await?;
+        Ok(filed)
+    }
+
+    /// The job that took an instance which is a study of its own, if the very same was submitted before.
+    pub(super) async fn taken(&self, transaction: &mut Transaction, members: &Members) -> Result<Option<Uuid>, SubmitError> {
+        let Members::Whole(instance) = members else { return Ok(None) };
+        match known(transaction, instance).await? {
+            None => Ok(None),
+            Some(Known { same: true, job: Some(job) }) => Ok(Some(job)),
+            Some(_) => Err(SubmitError::InstanceConflict),
+        }
+    }
+
+    /// Notes by which job instances were taken.
+    pub(super) async fn take(&self, transaction: &mut Transaction, owner: &str, members: Members, job: Uuid) -> Result<(), StoreError> {
+        match members {
+            Members::None => Ok(()),
+            Members::Whole(instance) => self.insert_instance(transaction, instance, Some(job)).await,
+            Members::Filed { instance_uids, keep } => {
+                let sql = "UPDATE instances SET job_id = $1, data = CASE WHEN $2 = 1 THEN data END WHERE owner = $3 AND sop_instance_uid = $4";
+                for uid in instance_uids {
+                    transaction.execute(sql, values![job, i64::from(keep), owner, uid]).await?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    async fn insert_instance(&self, transaction: &mut Transaction, instance: NewInstance, job: Option<Uuid>) -> Result<(), StoreError> {
+        let NewInstance { series, class_uid, instance_uid, holds, data } = instance;
+        let (sha256, size) = (sha256(&data), data.len() as i64);
+        let fields = values![series.owner, instance_uid, class_uid, series.study_uid, series.series_uid, holds, sha256, size];
+        let (job, data) = match job {
+            Some(job) => (Some(job.to_string()), None),
+            None => (None, Some(data)),
+        };
+        let sql = self.inner.database.render(
+            "INSERT INTO instances (owner, sop_instance_uid, sop_class_uid, study_instance_uid, series_instance_uid, holds, sha256, size,
+                job_id, data, received_at)
+            VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, {now})",
+        );
+        transaction.execute(&sql, fields.into_iter().chain(values![job, data]).collect()).await.map(drop)
+    }
+
+    /// The instances of a series whose excerpts are there, by UID.
+    pub async fn series(&self, series: &Series) -> Result<Vec<StoredInstance>, StoreError> {
+        let sql = "SELECT sop_instance_uid, holds, sha256, size, job_id FROM instances
+            WHERE owner = $1 AND study_instance_uid = $2 AND series_instance_uid = $3 AND data IS NOT NULL ORDER BY sop_instance_uid";
+        let values = values![series.owner.as_str(), series.study_uid.as_str(), series.series_uid.as_str()];
+        let rows = self.inner.database.fetch(sql, values).await?;
+        rows.iter()
+            .map(|row| {
+                let job = row.get::<Option<String>>(4)?.map(|id| parse_id(&id)).transpose()?;
+                let size = row.get::<i64>(3)? as u64;
+                Ok(StoredInstance { instance_uid: row.get(0)?, holds: row.get(1)?, sha256: row.get(2)?, size, job })
+            })
+            .collect()
+    }
+
+    /// Some of the series of which an instance waits and none came for so long, longest waiting first.
+    pub async fn quiet_series(&self, quiet: Duration) -> Result<Vec<Series>, StoreError> {
+        let sql = "SELECT owner, study_instance_uid, series_instance_uid FROM instances WHERE job_id IS NULL
+            GROUP BY owner, study_instance_uid, series_instance_uid HAVING MAX(received_at) <= {now} - $1
+            ORDER BY MAX(received_at) LIMIT 16";
+        let rows = self.inner.database.fetch(sql, values![milliseconds(quiet)]).await?;
+        rows.iter().map(|row| Ok(Series { owner: row.get(0)?, study_uid: row.get(1)?, series_uid: row.get(2)? })).collect()
+    }
+
+    /// The excerpt of an instance; `None` if it is not there any more.
+    pub async fn excerpt(&self, owner: &str, instance_uid: &str) -> Result<Option<Vec<u8>>, StoreError> {
+        let sql = "SELECT data, sha256 FROM instances WHERE owner = $1 AND sop_instance_uid = $2 AND data IS NOT NULL";
+        let Some(row) = self.inner.database.fetch_one(sql, values![owner, instance_uid]).await? else { return Ok(None) };
+        let (data, digest) = (row.get::<Vec<u8>>(0)?, row.get::<String>(1)?);
+        if sha256(&data) != digest {
+            return Err(StoreError::Damaged { what: "an instance does not match its SHA-256".to_owned() });
+        }
+        Ok(Some(data))
+    }
+
+    /// A job that failed before it began, since the instances that came make no study. It keeps their excerpts, for when more of them come.
+    /// The same instances fail once.
+    pub async fn fail_assembly(
+        &self,
+        series: &Series,
+        key: &str,
+        instance_uids: Vec<String>,
+        error: &JobError,
+        callback_url: Option<String>,
+    ) -> Result<Option<Job>, StoreError> {
+        let error = serde_json::to_string(error).map_err(|error| StoreError::Damaged { what: error.to_string() })?;
+        let id = Uuid::now_v7();
+        let mut transaction = self.inner.database.begin().await?;
+        let sql = self.inner.database.render(
+            "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
+                max_attempts, run_after, gates_total, created_at, finished_at, error, callback_url)
+            VALUES ($1, $2, $3, $4, 'reconstruction', '{}', $5, 0, 'failed', 0, {now}, 0, {now}, {now}, $6, $7)
+            ON CONFLICT (owner, idempotency_key) DO NOTHING RETURNING {notify}",
+        );
+        let fields = values![id, series.owner.as_str(), key, Vec::<u8>::new(), series.study_uid.as_str(), error, callback_url];
+        if transaction.fetch_one(&sql, fields).await?.is_none() {
+            return Ok(None);
+        }
+        self.take(&mut transaction, &series.owner, Members::Filed { instance_uids, keep: true }, id).await?;
+        self.end(&mut transaction, id).await?;
+        let job = self.get_in(&mut transaction, id).await?;
+        transaction.commit().await?;
+        finished(State::Failed);
+        Ok(Some(job))
+    }
+}
+
+/// An instance of this UID that is stored.
+struct Known {
+    same: bool,
+    job: Option<Uuid>,
+}
+
+async fn known(transaction: &mut Transaction, instance: &NewInstance) -> Result<Option<Known>, StoreError> {
+    let sql = "SELECT sha256, job_id FROM instances WHERE owner = $1 AND sop_instance_uid = $2";
+    let Some(row) = transaction.fetch_one(sql, values![instance.series.owner.as_str(), instance.instance_uid.as_str()]).await? else {
+        return Ok(None);
+    };
+    let job = row.get::<Option<String>>(1)?.map(|id| parse_id(&id)).transpose()?;
+    Ok(Some(Known { same: row.get::<String>(0)? == sha256(&instance.data), job }))
+}
