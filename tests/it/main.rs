@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, missing_docs)]
 
 mod accuracy;
+mod backup;
 mod chaos;
+mod cluster;
 mod demo;
 mod hostile;
 mod http;

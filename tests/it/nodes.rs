@@ -1,13 +1,12 @@
 //! Several nodes on one PostgreSQL: stores in this process, services in processes of their own, and a database that crashes.
 
 use crate::{
+    cluster::Cluster,
     place::{Place, endless, new_job, on_postgres, output, study, submit, until, until_state, work, workers},
     served::{Directory, Served},
 };
 use sqlx::{AssertSqlSafe, PgConnection};
 use std::{
-    path::{Path, PathBuf},
-    process::Command,
     sync::{Arc, Mutex, mpsc},
     time::{Duration, Instant},
 };
@@ -330,47 +329,9 @@ fn pause_and_go_on(url: &str) {
     assert_eq!(paused.get(&format!("{path}/report")).body, report);
 }
 
-/// A PostgreSQL server of a test's own.
-struct Cluster {
-    directory: PathBuf,
-    url: String,
-}
-
-impl Cluster {
-    fn script() -> Command {
-        Command::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools/postgres.sh"))
-    }
-
-    /// Where PostgreSQL is not installed: `None` with a word on standard error, a failure where `CI` is set.
-    #[expect(clippy::disallowed_methods, reason = "tests decide by the environment whether a skip is a failure")]
-    fn start() -> Option<Self> {
-        let directory = std::env::temp_dir().join(format!("ventricle-postgres-{}", Uuid::now_v7()));
-        let output = Self::script().arg("start").arg(&directory).output().unwrap();
-        if output.status.code() == Some(3) {
-            assert!(std::env::var_os("CI").is_none(), "PostgreSQL is not installed");
-            eprintln!("skipped: a crash of the database, as PostgreSQL is not installed (apt-get install postgresql)");
-            return None;
-        }
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        Some(Self { directory, url: String::from_utf8(output.stdout).unwrap().trim().to_owned() })
-    }
-
-    /// Ends every process of the server at once and starts it again.
-    fn crash(&self) {
-        let status = Self::script().arg("crash").arg(&self.directory).status().unwrap();
-        assert!(status.success(), "{status}");
-    }
-}
-
-impl Drop for Cluster {
-    fn drop(&mut self) {
-        drop(Self::script().arg("stop").arg(&self.directory).status());
-    }
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn workers_outlive_a_crash_of_the_database() {
-    let Some(cluster) = Cluster::start() else { return };
+    let Some(cluster) = Cluster::start("a crash of the database") else { return };
     let place = Place::postgres_at(&cluster.url).await;
     let (asked, working) = (place.open().await, place.open().await);
     let (gate, gates) = mpsc::channel::<()>();

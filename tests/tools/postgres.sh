@@ -5,6 +5,8 @@
 #   postgres.sh start DIRECTORY     makes it (the directory must not be there), starts it, prints its URL
 #   postgres.sh crash DIRECTORY     ends it as a crash would and starts it again on the same port
 #   postgres.sh stop DIRECTORY      stops and deletes it
+#   postgres.sh run DIRECTORY PROGRAM [ARGUMENT]...
+#                                   runs a program of the same installation, as pg_dump
 #
 # `start` ends with status 3 where PostgreSQL is not installed. fsync is off, which makes the tests of the store several times as fast
 # and takes nothing from them: what they crash are processes, and what was written outlives those in the kernel's cache. It would be
@@ -12,8 +14,8 @@
 set -euo pipefail
 
 action=${1:-} directory=${2:-}
-if [[ -z $directory ]] || [[ ! $action =~ ^(start|crash|stop)$ ]]; then
-  sed -n '2,7s/^# \{0,1\}//p' "$0" >&2
+if [[ -z $directory ]] || [[ ! $action =~ ^(start|crash|stop|run)$ ]]; then
+  sed -n '2,9s/^# \{0,1\}//p' "$0" >&2
   exit 2
 fi
 
@@ -60,6 +62,9 @@ case $action in
   crash)
     # Options given at the start are kept by `restart`.
     unprivileged "$bin/pg_ctl" restart --silent --wait --mode immediate --pgdata "$directory/data" --log "$directory/log" >/dev/null
+    ;;
+  run)
+    "$bin/${3:?which program?}" "${@:4}"
     ;;
   stop)
     unprivileged "$bin/pg_ctl" stop --silent --wait --mode immediate --pgdata "$directory/data" >/dev/null 2>&1 || true
