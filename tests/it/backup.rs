@@ -6,6 +6,7 @@ use crate::{
 };
 use std::{
     collections::{BTreeMap, BTreeSet},
+    sync::Arc,
     time::Duration,
 };
 use uuid::Uuid;
@@ -42,7 +43,7 @@ async fn states(store: &Store) -> BTreeMap<Uuid, State> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_dump_made_while_nodes_work_goes_on_where_it_is_restored() {
-    let Some(cluster) = Cluster::start("backup and restore") else { return };
+    let Some(cluster) = Cluster::start("backup and restore").map(Arc::new) else { return };
     let place = Place::postgres_database(cluster.url.clone());
     let nodes = [open(&place).await, open(&place).await];
     let working = nodes.each_ref().map(|node| slow_workers(node, "before", Duration::from_millis(50)));
@@ -59,7 +60,8 @@ async fn a_dump_made_while_nodes_work_goes_on_where_it_is_restored() {
         }
         after
     });
-    let dump = tokio::task::block_in_place(|| cluster.run("pg_dump", &["--format", "custom", &cluster.url], &[]));
+    let dumped = Arc::clone(&cluster);
+    let dump = tokio::task::spawn_blocking(move || dumped.run("pg_dump", &["--format", "custom", &dumped.url], &[])).await.unwrap();
     let after = submitting.await.unwrap();
     drop(working);
     for node in nodes {
