@@ -244,6 +244,7 @@ impl From<StoreError> for Problem {
             },
             StoreError::DirectoryInUse { .. }
             | StoreError::Directory { .. }
+            | StoreError::NoConnection { .. }
             | StoreError::SqliteTooOld { .. }
             | StoreError::Setting { .. }
             | StoreError::SchemaTooNew { .. }

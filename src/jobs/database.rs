@@ -158,7 +158,11 @@ impl Database {
                 Box::pin(async move { sqlx::raw_sql(set).execute(connection).await.map(drop) })
             })
             .connect(url)
-            .await?;
+            .await
+            .map_err(|error| match error {
+                sqlx::Error::PoolTimedOut => StoreError::NoConnection { seconds: ACQUIRE_TIMEOUT.as_secs() },
+                error => error.into(),
+            })?;
         Ok(Self::Postgres(pool))
     }
 

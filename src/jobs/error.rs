@@ -56,6 +56,15 @@ pub enum StoreError {
         /// Why.
         source: std::io::Error,
     },
+    /// PostgreSQL, or what stands before it, gave no connection in time.
+    #[error(
+        "PostgreSQL gave no connection within {seconds} s. Look whether the server that --database-url names runs, and whether it (or the \
+         pooler before it) has connections left for this node."
+    )]
+    NoConnection {
+        /// How long was waited.
+        seconds: u64,
+    },
     /// The linked SQLite is older than what the store was proven on.
     #[error("SQLite {found} is linked; {required} or later is required.")]
     SqliteTooOld {

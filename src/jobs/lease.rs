@@ -9,7 +9,7 @@ use super::{
     job::{JobError, State},
     progress::Snapshot,
     queue::Load,
-    store::{INPUT, Store, finished, insert_blob, parse_id, sha256},
+    store::{INPUT, Store, finished, insert_blob, intact, parse_id, sha256},
     work::Output,
 };
 use std::{sync::Arc, time::Duration};
@@ -87,12 +87,17 @@ impl Store {
         Ok(Some(Claim { id, attempt: row.get(1)?, parameters: row.get(2)?, waited }))
     }
 
-    /// The stored study of a claimed job, encoded (see [`super::input`]).
-    pub async fn input(&self, claim: &Claim) -> Result<Vec<u8>, StoreError> {
-        match self.blob(claim.id, INPUT).await? {
-            Some(blob) => Ok(blob.data),
-            None => Err(StoreError::Damaged { what: format!("job {} has no input", claim.id) }),
-        }
+    /// The stored study of a claimed job, encoded (see [`super::input`]); `None` if the job is no longer this attempt's. Whoever has it
+    /// now may have finished it and deleted its input; where the job is still held, an absent input is damage.
+    pub async fn input(&self, claim: &Claim) -> Result<Option<Vec<u8>>, StoreError> {
+        let sql = "SELECT blobs.sha256, blobs.data FROM jobs LEFT JOIN blobs ON blobs.job_id = jobs.id AND blobs.name = $3
+            WHERE jobs.id = $1 AND jobs.attempts = $2 AND jobs.state = 'running'";
+        let Some(row) = self.inner.database.fetch_one(sql, values![claim.id, claim.attempt, INPUT]).await? else { return Ok(None) };
+        let (Some(sha256), Some(data)) = (row.get::<Option<String>>(0)?, row.get::<Option<Vec<u8>>>(1)?) else {
+            return Err(StoreError::Damaged { what: format!("job {} has no input", claim.id) });
+        };
+        drop(row);
+        intact(claim.id, INPUT, sha256, data).await.map(Some)
     }
 
     /// Renews the lease and, if there is news, stores the progress; returns whether the job should stop.

@@ -198,18 +198,10 @@ impl Store {
     pub async fn blob(&self, id: Uuid, name: &str) -> Result<Option<Blob>, StoreError> {
         let sql = "SELECT media_type, sha256, data FROM blobs WHERE job_id = $1 AND name = $2";
         let Some(row) = self.inner.database.fetch_one(sql, values![id, name]).await? else { return Ok(None) };
-        let blob = Blob { media_type: row.get(0)?, sha256: row.get(1)?, data: row.get(2)? };
+        let (media_type, sha256, data) = (row.get(0)?, row.get::<String>(1)?, row.get(2)?);
         drop(row);
-        let name = name.to_owned();
-        tokio::task::spawn_blocking(move || {
-            if sha256(&blob.data) == blob.sha256 {
-                Ok(Some(blob))
-            } else {
-                Err(StoreError::Damaged { what: format!("{name} of job {id} does not match its SHA-256") })
-            }
-        })
-        .await
-        .map_err(|_| StoreError::Interrupted)?
+        let data = intact(id, name, sha256.clone(), data).await?;
+        Ok(Some(Blob { media_type, sha256, data }))
     }
 
     /// Waits until the job's version differs from `seen_version`, the job is in a final state, or the time is over, whichever is
@@ -323,6 +315,13 @@ pub(super) async fn insert_blob(
 ) -> Result<(), StoreError> {
     let sql = "INSERT INTO blobs (job_id, name, media_type, sha256, size, data) VALUES ($1, $2, $3, $4, $5, $6)";
     transaction.execute(sql, values![job_id, name, media_type, sha256, data.len() as i64, data]).await.map(drop)
+}
+
+/// The data of a blob if they are what was stored.
+pub(super) async fn intact(job_id: Uuid, name: &str, stored_sha256: String, data: Vec<u8>) -> Result<Vec<u8>, StoreError> {
+    let data = tokio::task::spawn_blocking(move || (sha256(&data) == stored_sha256).then_some(data));
+    let damaged = || StoreError::Damaged { what: format!("{name} of job {job_id} does not match its SHA-256") };
+    data.await.map_err(|_| StoreError::Interrupted)?.ok_or_else(damaged)
 }
 
 /// Durations in s of the jobs that succeeded last, on whichever node, latest first.

@@ -185,7 +185,11 @@ impl Worker {
         let progress = Arc::new(Progress::begin_now());
         let _held = Held::new(&self.store, &claim, &progress);
         let input = match self.input(&claim).await {
-            Some(Ok(input)) => input,
+            Some(Ok(Some(input))) => input,
+            Some(Ok(None)) => {
+                lost();
+                return false;
+            }
             Some(Err(error)) => {
                 self.finish(&claim, outcome(Err(WorkError::Internal(error.to_string()))), &Snapshot::default()).await;
                 return false;
@@ -200,8 +204,7 @@ impl Worker {
             }
             None if *self.phase.borrow() == Phase::GivingBack => self.give_back(&claim).await,
             None => {
-                tracing::warn!("the lease was lost; the work of this attempt is discarded");
-                metrics::counter!("ventricle_leases_lost_total").increment(1);
+                lost();
                 false
             }
         }
@@ -264,8 +267,8 @@ impl Worker {
         }
     }
 
-    /// The stored study; `None` if the store does not answer until the work is to be given back.
-    async fn input(&mut self, claim: &Claim) -> Option<Result<Vec<u8>, StoreError>> {
+    /// The stored study, unless the lease was lost; `None` if the store does not answer until the work is to be given back.
+    async fn input(&mut self, claim: &Claim) -> Option<Result<Option<Vec<u8>>, StoreError>> {
         let mut backoff = Backoff::default();
         loop {
             match self.store.input(claim).await {
@@ -289,11 +292,7 @@ impl Worker {
                     tracing::info!(state = state.name(), "job finished");
                     return;
                 }
-                Ok(Finish::Lost) => {
-                    tracing::warn!("the lease was lost; the work of this attempt is discarded");
-                    metrics::counter!("ventricle_leases_lost_total").increment(1);
-                    return;
-                }
+                Ok(Finish::Lost) => return lost(),
                 Err(error) if error.is_passing() => {
                     tracing::warn!(%error, "the end of the job could not be stored yet");
                     if !unless_phase(&mut self.phase, Phase::GivingBack, backoff.pause()).await {
@@ -373,6 +372,12 @@ fn outcome(result: Result<Vec<Output>, WorkError>) -> Outcome {
             Outcome::Failed(internal_error())
         }
     }
+}
+
+/// Tells that another worker has the job, or had it.
+fn lost() {
+    tracing::warn!("the lease was lost; the work of this attempt is discarded");
+    metrics::counter!("ventricle_leases_lost_total").increment(1);
 }
 
 fn internal_error() -> JobError {

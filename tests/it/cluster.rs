@@ -1,9 +1,10 @@
-//! A PostgreSQL server that a test may crash.
+//! A PostgreSQL server that a test has to itself, by `tests/tools/postgres.sh`.
 
 use sqlx::PgConnection;
 use std::{
+    io::Write as _,
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, Stdio},
 };
 use uuid::Uuid;
 
@@ -18,14 +19,14 @@ impl Cluster {
         Command::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools/postgres.sh"))
     }
 
-    /// Where PostgreSQL is not installed: `None` with a word on standard error, a failure where `CI` is set.
+    /// Starts a server for this; where PostgreSQL is not installed: `None` with a word on standard error, a failure where `CI` is set.
     #[expect(clippy::disallowed_methods, reason = "tests decide by the environment whether a skip is a failure")]
-    pub(crate) fn start() -> Option<Self> {
+    pub(crate) fn start(what: &str) -> Option<Self> {
         let directory = std::env::temp_dir().join(format!("ventricle-postgres-{}", Uuid::now_v7()));
         let output = Self::script().arg("start").arg(&directory).output().unwrap();
         if output.status.code() == Some(3) {
             assert!(std::env::var_os("CI").is_none(), "PostgreSQL is not installed");
-            eprintln!("skipped: a crash of the database, as PostgreSQL is not installed (apt-get install postgresql)");
+            eprintln!("skipped: {what}, as PostgreSQL is not installed (apt-get install postgresql)");
             return None;
         }
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -36,6 +37,17 @@ impl Cluster {
     pub(crate) fn crash(&self) {
         let status = Self::script().arg("crash").arg(&self.directory).status().unwrap();
         assert!(status.success(), "{status}");
+    }
+
+    /// Runs a program that comes with the server on these bytes; returns what it printed.
+    pub(crate) fn run(&self, program: &str, arguments: &[&str], input: &[u8]) -> Vec<u8> {
+        let mut command = Self::script();
+        command.arg("run").arg(&self.directory).arg(program).args(arguments);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        child.stdin.take().unwrap().write_all(input).unwrap();
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success(), "{program}: {}", String::from_utf8_lossy(&output.stderr));
+        output.stdout
     }
 }
 

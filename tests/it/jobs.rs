@@ -15,7 +15,7 @@ use std::{
 use ventricle::{
     jobs::{
         Deletion, Finish, Heartbeat, ListQuery, NewJob, Outcome, Snapshot, State, Store, StoreError, StoreSettings, SubmitError, Submitted,
-        WorkError, WorkerSettings, start_workers,
+        WorkError, WorkerSettings, input, start_workers,
     },
     pipeline::{
         monitor::{Monitor, Stage},
@@ -32,6 +32,8 @@ on_both_engines! {
     a_running_job_stops_within_a_second,
     a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancelled,
     what_comes_late_from_a_lost_attempt_is_refused,
+    an_attempt_that_lost_its_job_before_reading_the_input_is_told_so,
+    a_job_whose_input_is_gone_fails_as_damaged,
     a_panic_fails_its_job_without_internal_text_and_the_worker_goes_on,
     a_drain_waits_then_gives_back_uncharged,
     a_computation_that_does_not_stop_is_left_behind_by_the_drain,
@@ -182,13 +184,13 @@ async fn a_heartbeat_tells_of_the_request_to_cancel_and_a_late_success_is_cancel
 }
 
 async fn what_comes_late_from_a_lost_attempt_is_refused(place: &Place) {
-    let store = Store::open(StoreSettings { lease: Duration::from_millis(30), retry_pause: Duration::from_secs(1), ..place.settings() })
-        .await
-        .unwrap();
+    // On PostgreSQL a transaction that pauses for longer than a lease is ended: not so short that a busy machine does so.
+    let settings = StoreSettings { lease: Duration::from_secs(1), retry_pause: Duration::from_secs(1), ..place.settings() };
+    let store = Store::open(settings).await.unwrap();
     let job = submit(&store).await;
     let first = store.claim("first").await.unwrap().unwrap();
     assert_eq!(store.reap().await.unwrap(), [], "the lease still runs");
-    tokio::time::sleep(Duration::from_millis(60)).await;
+    tokio::time::sleep(Duration::from_millis(1100)).await;
     let reaped = store.reap().await.unwrap();
     assert_eq!(reaped.iter().map(|job| (job.id, job.state)).collect::<Vec<_>>(), [(job.id, State::Queued)]);
     assert_eq!(store.claim("second").await.unwrap(), None, "a pause comes before the next attempt");
@@ -206,6 +208,42 @@ async fn what_comes_late_from_a_lost_attempt_is_refused(place: &Place) {
     assert_eq!(store.finish(&second, results(b"second"), &news).await.unwrap(), Finish::Done(State::Succeeded));
     assert_eq!(store.finish(&second, results(b"again"), &news).await.unwrap(), Finish::Lost, "once is enough");
     assert_eq!(store.blob(job.id, "report").await.unwrap().unwrap().data, b"second");
+}
+
+async fn an_attempt_that_lost_its_job_before_reading_the_input_is_told_so(place: &Place) {
+    let store = Store::open(StoreSettings { lease: Duration::from_secs(1), ..place.settings() }).await.unwrap();
+    let job = submit(&store).await;
+    let first = store.claim("first").await.unwrap().unwrap();
+    assert_eq!(input::decode(&store.input(&first).await.unwrap().unwrap()).unwrap(), study());
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    store.reap().await.unwrap();
+    assert_eq!(store.input(&first).await.unwrap(), None, "queued again");
+    let second = store.claim("second").await.unwrap().unwrap();
+    assert_eq!((second.id, second.attempt), (job.id, 2));
+    assert_eq!(store.input(&first).await.unwrap(), None, "the input is there, but somebody else's");
+    assert_eq!(input::decode(&store.input(&second).await.unwrap().unwrap()).unwrap(), study());
+    store.finish(&second, Outcome::Succeeded([].into()), &Snapshot::default()).await.unwrap();
+    assert_eq!(store.blob(job.id, "input").await.unwrap(), None);
+    assert_eq!(store.input(&first).await.unwrap(), None, "finished, and its input deleted");
+    assert_eq!(store.input(&second).await.unwrap(), None);
+    assert_eq!(store.delete(job.id).await.unwrap(), Deletion::Deleted);
+    assert_eq!(store.input(&first).await.unwrap(), None, "deleted");
+}
+
+async fn a_job_whose_input_is_gone_fails_as_damaged(place: &Place) {
+    let store = place.open().await;
+    let (held, worked_on, whole) = (submit(&store).await, submit(&store).await, submit(&store).await);
+    store.close().await;
+    place.run(format!("DELETE FROM blobs WHERE job_id IN ('{}', '{}')", held.id, worked_on.id)).await;
+    let store = place.open().await;
+    let claim = store.claim("someone").await.unwrap().unwrap();
+    assert_eq!(claim.id, held.id);
+    let damaged = store.input(&claim).await.unwrap_err();
+    assert!(matches!(damaged, StoreError::Damaged { .. }), "{damaged}");
+    let _workers = workers(&store, work(|_, _, _, _| Ok(Vec::new())));
+    until_state(&store, whole.id, State::Succeeded).await;
+    let failed = store.get(worked_on.id).await.unwrap().unwrap();
+    assert_eq!((failed.state, failed.error.unwrap().code.as_str()), (State::Failed, "internal_error"));
 }
 
 #[tokio::test]

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stderr, missing_docs)]
 
 mod accuracy;
+mod backup;
 mod chaos;
 mod cluster;
 mod demo;

@@ -321,7 +321,7 @@ fn pause_and_go_on(url: &str) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn workers_outlive_a_crash_of_the_database() {
-    let Some(cluster) = Cluster::start() else { return };
+    let Some(cluster) = Cluster::start("a crash of the database") else { return };
     let place = Place::postgres_at(&cluster.url).await;
     let (asked, working) = (place.open().await, place.open().await);
     let (gate, gates) = mpsc::channel::<()>();

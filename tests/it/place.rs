@@ -4,7 +4,7 @@
 //! (`postgres://user@host/database`; `make test` starts a server), on that too, each in a schema of its own.
 
 use ndarray::Array3;
-use sqlx::{AssertSqlSafe, Connection, PgConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions as _, Connection, PgConnection, sqlite::SqliteConnectOptions};
 use std::{
     path::PathBuf,
     sync::Arc,
@@ -90,6 +90,11 @@ impl Place {
         Self { backend: Backend::Postgres { url }, directory: PathBuf::new(), schema: Some((server.to_owned(), schema)) }
     }
 
+    /// All of a PostgreSQL database, which is left as it is.
+    pub(crate) fn postgres_database(url: String) -> Self {
+        Self { backend: Backend::Postgres { url }, directory: PathBuf::new(), schema: None }
+    }
+
     /// Where a program finds the database.
     pub(crate) fn url(&self) -> &str {
         match &self.backend {
@@ -106,6 +111,20 @@ impl Place {
         Store::open(self.settings()).await.unwrap()
     }
 
+    /// Runs statements past the store; on SQLite while no store has the directory.
+    pub(crate) async fn run(&self, sql: String) {
+        match &self.backend {
+            Backend::Sqlite { directory } => {
+                std::fs::create_dir_all(directory).unwrap();
+                let options = SqliteConnectOptions::new().filename(directory.join("ventricle.sqlite")).create_if_missing(true);
+                let mut connection = options.connect().await.unwrap();
+                sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut connection).await.unwrap();
+                connection.close().await.unwrap();
+            }
+            Backend::Postgres { url } => execute(url, &sql).await.unwrap(),
+        }
+    }
+
     /// A connection past the store.
     pub(crate) async fn connect(&self) -> PgConnection {
         PgConnection::connect(self.url()).await.unwrap()
@@ -115,7 +134,9 @@ impl Place {
 impl Drop for Place {
     fn drop(&mut self) {
         let Some((server, schema)) = self.schema.take() else {
-            std::fs::remove_dir_all(&self.directory).ok();
+            if !self.directory.as_os_str().is_empty() {
+                std::fs::remove_dir_all(&self.directory).ok();
+            }
             return;
         };
         // Its own runtime, as the test's cannot be waited for here. What a stopped worker may still hold is not worth waiting for either.

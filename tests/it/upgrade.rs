@@ -2,7 +2,6 @@
 
 use crate::place::{Place, new_job, on_both_engines, output, study};
 use sha2::{Digest, Sha256};
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, PgConnection, sqlite::SqliteConnectOptions};
 use std::time::Duration;
 use uuid::Uuid;
 use ventricle::{
@@ -18,24 +17,6 @@ on_both_engines! {
 const VERSION_1: &str = include_str!("../../src/jobs/schema.sql");
 /// When the rows of version 1 were written: in 2026.
 const THEN_MS: i64 = 1_790_000_000_000;
-
-/// Runs statements without a store.
-async fn run(place: &Place, sql: String) {
-    match &place.backend {
-        Backend::Sqlite { directory } => {
-            std::fs::create_dir_all(directory).unwrap();
-            let options = SqliteConnectOptions::new().filename(directory.join("ventricle.sqlite")).create_if_missing(true);
-            let mut connection = options.connect().await.unwrap();
-            sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut connection).await.unwrap();
-            connection.close().await.unwrap();
-        }
-        Backend::Postgres { url } => {
-            let mut connection = PgConnection::connect(url).await.unwrap();
-            sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut connection).await.unwrap();
-            connection.close().await.unwrap();
-        }
-    }
-}
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().flat_map(|byte| [byte >> 4, byte & 0xf]).filter_map(|nibble| char::from_digit(nibble.into(), 16)).collect()
@@ -88,7 +69,7 @@ async fn write_version_1(place: &Place) -> [Uuid; 5] {
             literal(place, data),
         ));
     }
-    run(place, statements.concat()).await;
+    place.run(statements.concat()).await;
     ids
 }
 
@@ -124,7 +105,7 @@ async fn opening_upgrades_and_loses_nothing(place: &Place) {
     assert!(matches!(&repeated, Submitted::Existing(job) if job.id == succeeded), "{repeated:?}");
     let claim = store.claim("new").await.unwrap().unwrap();
     assert_eq!(claim.id, queued);
-    assert_eq!(input::decode(&store.input(&claim).await.unwrap()).unwrap(), study());
+    assert_eq!(input::decode(&store.input(&claim).await.unwrap().unwrap()).unwrap(), study());
     assert_eq!(serde_json::from_str::<Parameters>(&claim.parameters).unwrap(), Parameters::paper());
     store.finish(&claim, Outcome::Succeeded([output("report", b"{}")].into()), &Snapshot::default()).await.unwrap();
     let done = store.get(queued).await.unwrap().unwrap();
@@ -155,7 +136,7 @@ async fn nodes_that_open_at_once_upgrade_once() {
 
 async fn an_older_program_refuses_what_a_later_one_has_upgraded(place: &Place) {
     place.open().await.close().await;
-    run(place, "UPDATE schema_version SET version = version + 1".to_owned()).await;
+    place.run("UPDATE schema_version SET version = version + 1".to_owned()).await;
     let refused = Store::open(place.settings()).await.unwrap_err();
     assert!(matches!(refused, StoreError::SchemaTooNew { found, known } if found == known + 1), "{refused}");
 }

@@ -6,6 +6,8 @@
 #   postgres.sh durable DIRECTORY   the same, with every commit synchronised to disk
 #   postgres.sh crash DIRECTORY     ends it as a crash would and starts it again on the same port
 #   postgres.sh stop DIRECTORY      stops and deletes it
+#   postgres.sh run DIRECTORY PROGRAM [ARGUMENT]...
+#                                   runs a program of the same installation, as pg_dump
 #
 # `start` ends with status 3 where PostgreSQL is not installed. fsync is off, which makes the tests of the store several times as fast
 # and takes nothing from them: what they crash are processes, and what was written outlives those in the kernel's cache. It would be
@@ -13,8 +15,8 @@
 set -euo pipefail
 
 action=${1:-} directory=${2:-}
-if [[ -z $directory ]] || [[ ! $action =~ ^(start|durable|crash|stop)$ ]]; then
-  sed -n '2,8s/^# \{0,1\}//p' "$0" >&2
+if [[ -z $directory ]] || [[ ! $action =~ ^(start|durable|crash|stop|run)$ ]]; then
+  sed -n '2,10s/^# \{0,1\}//p' "$0" >&2
   exit 2
 fi
 
@@ -61,6 +63,9 @@ case $action in
   crash)
     # Options given at the start are kept by `restart`.
     unprivileged "$bin/pg_ctl" restart --silent --wait --mode immediate --pgdata "$directory/data" --log "$directory/log" >/dev/null
+    ;;
+  run)
+    "$bin/${3:?which program?}" "${@:4}"
     ;;
   stop)
     unprivileged "$bin/pg_ctl" stop --silent --wait --mode immediate --pgdata "$directory/data" >/dev/null 2>&1 || true

@@ -28,7 +28,7 @@ const SOON: Duration = Duration::from_mins(1);
 #[test]
 fn three_nodes_on_postgres_lose_nothing_to_kills_pauses_and_crashes() {
     let _alone = alone();
-    let Some(cluster) = Cluster::start() else { return };
+    let Some(cluster) = Cluster::start("the chaos of several nodes") else { return };
     let plan = Plan::of(40, 1);
     let runtime = Runtime::new().unwrap();
     let place = runtime.block_on(Place::postgres_at(&cluster.url));
