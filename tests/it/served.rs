@@ -103,6 +103,21 @@ impl Served {
         self.post_with("", media_type, body)
     }
 
+    /// To another path.
+    pub(crate) fn post_to(&self, path: &str, media_type: &str, body: &[u8]) -> Answer {
+        answer(self.agent.post(format!("{}{path}", self.url)).header("content-type", media_type).send(body).unwrap())
+    }
+
+    /// To another path, with an `Accept`.
+    pub(crate) fn post_accepting(&self, path: &str, media_type: &str, body: &[u8], accept: &str) -> Answer {
+        let request = self.agent.post(format!("{}{path}", self.url)).header("content-type", media_type);
+        answer(request.header("accept", accept).send(body).unwrap())
+    }
+
+    pub(crate) fn delete(&self, path: &str) -> Answer {
+        answer(self.agent.delete(format!("{}{path}", self.url)).call().unwrap())
+    }
+
     /// With an idempotency key.
     pub(crate) fn post_keyed(&self, key: &str, media_type: &str, body: &[u8]) -> Answer {
         let request = self.agent.post(format!("{}/v1/reconstructions", self.url)).header("content-type", media_type);
