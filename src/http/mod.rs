@@ -5,6 +5,7 @@
 
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
+mod archived;
 mod body;
 mod docs;
 mod events;
@@ -48,6 +49,7 @@ pub struct AppState {
     limits: Arc<intake::Limits>,
     upload_time: Duration,
     longest_retention: Duration,
+    keep_patient: bool,
     parsers: Arc<Semaphore>,
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
@@ -73,6 +75,7 @@ impl AppState {
             limits: Arc::default(),
             upload_time: Duration::from_mins(2),
             longest_retention: LONGEST_RETENTION,
+            keep_patient: false,
             parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
             workers_alive: Arc::new(|| true),
             disk: None,
@@ -101,6 +104,12 @@ impl AppState {
     #[must_use]
     pub fn with_longest_retention(self, longest_retention: Duration) -> Self {
         Self { longest_retention, ..self }
+    }
+
+    /// Keeping whom DICOM studies are of, for DICOM results.
+    #[must_use]
+    pub fn with_patients_kept(self, keep_patient: bool) -> Self {
+        Self { keep_patient, ..self }
     }
 
     /// With someone who knows whether the workers run.
@@ -166,6 +175,12 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::endocardial))
         .routes(routes!(results::epicardial))
         .routes(routes!(results::wall))
+        .routes(routes!(archived::sr))
+        .routes(routes!(archived::fhir))
+        .routes(routes!(archived::endocardial_stl))
+        .routes(routes!(archived::epicardial_stl))
+        .routes(routes!(archived::endocardial_stl_dicom))
+        .routes(routes!(archived::epicardial_stl_dicom))
         .routes(routes!(docs::list_parameters))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
