@@ -1,7 +1,7 @@
 //! Content items of a structured report (PS3.3 C.17.3).
 
 use super::codes::Code;
-use crate::elements::{Element, code, decimal, empty, sequence, text};
+use crate::elements::{Element, code, decimal, sequence, text};
 use dicom_core::{PrimitiveValue, VR};
 use dicom_dictionary_std::tags;
 
@@ -116,7 +116,7 @@ fn nest(mut parent: Item, children: Vec<Item>) -> Item {
 
 /// A type 2 sequence without items.
 pub(super) fn no_items(tag: dicom_core::Tag) -> Element {
-    empty(tag, VR::SQ)
+    sequence(tag, [])
 }
 
 /// ASCII for a text that may hold the signs of our own sentences.

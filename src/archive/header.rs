@@ -17,8 +17,8 @@ const IMPLEMENTATION_UID: &str = "2.25.153879973904405785727583239291539799884";
 /// The series and instance of an object.
 pub(super) struct Instance<'a> {
     pub(super) class_uid: &'static str,
-    pub(super) instance_uid: String,
-    pub(super) instance_number: usize,
+    pub(super) uid: String,
+    pub(super) number: usize,
     pub(super) series_uid: String,
     /// Number of the series, which must be there; high, as the series of the study count from 1.
     pub(super) series_number: usize,
@@ -43,8 +43,8 @@ pub(super) fn elements(finished: &Finished, instance: &Instance<'_>) -> Vec<Elem
         text(tags::DEVICE_SERIAL_NUMBER, VR::LO, "0"),
         text(tags::SOFTWARE_VERSIONS, VR::LO, finished.report.software.version.clone()),
         text(tags::SOP_CLASS_UID, VR::UI, instance.class_uid),
-        text(tags::SOP_INSTANCE_UID, VR::UI, instance.instance_uid.clone()),
-        text(tags::INSTANCE_NUMBER, VR::IS, instance.instance_number.to_string()),
+        text(tags::SOP_INSTANCE_UID, VR::UI, instance.uid.clone()),
+        text(tags::INSTANCE_NUMBER, VR::IS, instance.number.to_string()),
         text(tags::INSTANCE_CREATION_DATE, VR::DA, date.clone()),
         text(tags::INSTANCE_CREATION_TIME, VR::TM, time.clone()),
         text(tags::CONTENT_DATE, VR::DA, date),

@@ -32,8 +32,8 @@ pub const MEDIA_TYPE: &str = "application/dicom";
 pub fn write(finished: &Finished) -> Result<Vec<u8>, ArchiveError> {
     let instance = Instance {
         class_uid: uids::COMPREHENSIVE_SR_STORAGE,
-        instance_uid: finished.uid("measurement report"),
-        instance_number: 1,
+        uid: finished.uid("measurement report"),
+        number: 1,
         series_uid: finished.uid("series of the measurement report"),
         series_number: SERIES_NUMBER,
         modality: "SR",

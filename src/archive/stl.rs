@@ -27,8 +27,8 @@ pub const MEDIA_TYPE: &str = "model/stl";
 pub fn write(finished: &Finished, surface: Surface, gate: usize, stl: &Stl) -> Result<Vec<u8>, ArchiveError> {
     let instance = Instance {
         class_uid: uids::ENCAPSULATED_STL_STORAGE,
-        instance_uid: finished.uid(&format!("{} surface of gate {gate}", surface.name())),
-        instance_number: 2 * gate - usize::from(surface == Surface::Endocardial),
+        uid: finished.uid(&format!("{} surface of gate {gate}", surface.name())),
+        number: 2 * gate - usize::from(surface == Surface::Endocardial),
         series_uid: finished.uid("series of the surfaces"),
         series_number: SERIES_NUMBER,
         modality: "M3D",
@@ -50,7 +50,6 @@ pub fn write(finished: &Finished, surface: Surface, gate: usize, stl: &Stl) -> R
         sequence(tags::MEASUREMENT_UNITS_CODE_SEQUENCE, [concept(MILLIMETRES)]),
         text(tags::MODEL_MODIFICATION, VR::CS, "NO"),
         text(tags::MODEL_MIRRORING, VR::CS, "NO"),
-        text(tags::MODEL_GROUP_UID, VR::UI, finished.uid("group of the surfaces")),
     ]);
     all.extend(finished.sources().as_ref().map(references).into_iter().flatten());
     header::file(all)

@@ -78,7 +78,11 @@ fn assert_dciodvfy(path: &Path, kind: &str) {
     let Some(output) = run("dciodvfy", &[], path) else { return absent("dicom3tools") };
     let said = said(&output);
     assert!(said.lines().any(|line| line == kind), "{}: {said}", path.display());
-    assert!(!said.contains("Error") && !said.contains("Warning"), "{}: {said}", path.display());
+    // It cannot know our own codes, and wishes for what is empty where no patient is kept.
+    let expected =
+        ["<99VENTRICLE> for value 1 of attribute <Coding Scheme Designator>", "of attribute <Coding Scheme UID>", "to build DICOMDIR"];
+    let others: Vec<&str> = said.lines().filter(|line| *line != kind && !expected.iter().any(|known| line.contains(known))).collect();
+    assert!(others.is_empty(), "{}: {others:#?}", path.display());
 }
 
 /// That `dsrdump` prints the document without complaint; what it prints.
@@ -88,7 +92,10 @@ fn dsrdump(path: &Path) -> Option<String> {
         return None;
     };
     let said = said(&output);
-    assert!(output.status.success() && !said.contains("E: ") && !said.contains("W: "), "{said}");
+    // Its checks of single values do not know UTF-8.
+    let complaint =
+        |line: &&str| line.starts_with("E: ") || line.starts_with("W: ") && !line.contains("Specific Character Set: ISO_IR 192");
+    assert!(output.status.success() && said.lines().find(complaint).is_none(), "{said}");
     Some(said)
 }
 
@@ -187,78 +194,70 @@ fn on_disk(service: &Service) -> Vec<u8> {
     files.flat_map(|file| std::fs::read(file.unwrap().path()).unwrap()).collect()
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_a_gated_study_gives_passes_validators_and_readers() {
-    let service = reconstructing(false).await;
-    let path = reconstructed(&service, dicom(&beating())).await;
-    let job = service.get(&path).await.json();
-    assert_eq!(job["links"]["sr"], format!("{path}/sr.dcm"));
-    assert_eq!(job["links"]["fhir"], format!("{path}/fhir"));
-    let report = service.get(&format!("{path}/report")).await.json();
-
-    // The structured report.
-    let sr = result(&service, &format!("{path}/sr.dcm"), "application/dicom").await;
-    let file = scratch("gated-sr.dcm", &sr.bytes);
+/// The structured report of a gated study, by other programs.
+fn assert_structured_report(sr: &[u8], job: &Value, report: &Value) {
+    let file = scratch("gated-sr.dcm", sr);
     assert_dciodvfy(&file, "ComprehensiveSR");
     let printed = dsrdump(&file);
     assert!(printed.is_none_or(|printed| printed.contains("Imaging Measurement Report") && printed.contains("8821-1")));
-    if let Some(read) = highdicom(&file) {
-        assert_eq!(read["unknown_codes"], serde_json::json!([]), "{read:#}");
-        assert_eq!(read["study_instance_uid"], report["study"]["study_instance_uid"]);
-        assert_eq!(read["evidence"], report["study"]["sop_instance_uids"]);
-        assert_eq!(read["algorithms"], serde_json::json!(["ventricle"]));
-        assert_eq!(read["devices"], serde_json::json!(["ventricle"]));
-        assert!(read["parameters"].as_array().unwrap().contains(&"mesh.level = 3".into()), "{read:#}");
-        let finished_at = job["finished_at"].as_str().unwrap();
-        let digits: String = finished_at.chars().filter(char::is_ascii_digit).take(14).collect();
-        assert_eq!(read["content_date_time"], digits);
-        let groups = read["groups"].as_array().unwrap();
-        assert_eq!(groups.len(), 5);
-        let function = &report["function"];
-        for (code, unit, expected) in [
-            ("8821-1/LN", "ml", &function["edv_ml"]),
-            ("8823-7/LN", "ml", &function["esv_ml"]),
-            ("90096001/SCT", "ml", &function["sv_ml"]),
-            ("70822001/SCT", "%", &function["ef_percent"]),
-            ("122446/DCM", "ml", &report["myocardium"]["mean_ml"]),
-            ("122447/DCM", "g", &report["myocardium"]["mass_g"]),
-            ("122182/DCM", "ms", &report["study"]["rr_interval_ms"]),
-            ("8867-4/LN", "{H.B.}/min", &report["study"]["heart_rate_bpm"]),
-            ("QUALITY_SCORE/99VENTRICLE", "1", &report["quality"]["score"]),
-        ] {
-            assert_measured(&groups[0], code, unit, expected);
-        }
-        assert_eq!(groups[0]["method"], "CAMERA_MODEL/99VENTRICLE");
-        assert_eq!(groups[0]["sites"], serde_json::json!(["87878005/SCT"]));
-        let error = &groups[0]["measurements"]["70822001/SCT"]["properties"];
-        let told = &report["uncertainty"]["ef_percent"];
-        assert!((number(&error["386136009/SCT"]) - number(&told["standard_error"])).abs() < 1e-9, "{error}");
-        let above = number(&told["high_95"]) - number(&function["ef_percent"]);
-        assert!((number(&error["371886008/SCT"]) - above).abs() < 1e-9, "{error}");
-        for (gate, group) in report["gates"].as_array().unwrap().iter().zip(&groups[1..]) {
-            assert_eq!(group["tracking_identifier"], format!("Gate {}", gate["gate"]));
-            assert_eq!(group["time_points"], serde_json::json!([format!("Gate {} of 4", gate["gate"])]));
-            assert_measured(group, "ENDO_VOLUME/99VENTRICLE", "ml", &gate["endocardial_ml"]);
-            assert_measured(group, "EPI_VOLUME/99VENTRICLE", "ml", &gate["epicardial_ml"]);
-            assert_measured(group, "122446/DCM", "ml", &gate["myocardial_ml"]);
-            let phase = if gate["gate"] == function["end_diastolic_gate"] {
-                "416190007/SCT".into()
-            } else if gate["gate"] == function["end_systolic_gate"] {
-                "416430001/SCT".into()
-            } else {
-                Value::Null
-            };
-            assert_eq!(group["finding"], phase);
-        }
-        assert_eq!(read["flags"], report["quality"]["flags"]);
-        let comments = read["comments"].as_array().unwrap();
-        assert_eq!(comments.len(), report["warnings"].as_array().unwrap().len() + 1, "{comments:?}");
+    let Some(read) = highdicom(&file) else { return };
+    assert_eq!(read["unknown_codes"], serde_json::json!([]), "{read:#}");
+    assert_eq!(read["study_instance_uid"], report["study"]["study_instance_uid"]);
+    assert_eq!(read["evidence"], report["study"]["sop_instance_uids"]);
+    assert_eq!(read["algorithms"], serde_json::json!(["ventricle"]));
+    assert_eq!(read["devices"], serde_json::json!(["ventricle"]));
+    assert!(read["parameters"].as_array().unwrap().contains(&"mesh.level = 3".into()), "{read:#}");
+    let finished_at = job["finished_at"].as_str().unwrap();
+    let digits: String = finished_at.chars().filter(char::is_ascii_digit).take(14).collect();
+    assert_eq!(read["content_date_time"], digits);
+    let groups = read["groups"].as_array().unwrap();
+    assert_eq!(groups.len(), 5);
+    let function = &report["function"];
+    for (code, unit, expected) in [
+        ("8821-1/LN", "ml", &function["edv_ml"]),
+        ("8823-7/LN", "ml", &function["esv_ml"]),
+        ("90096001/SCT", "ml", &function["sv_ml"]),
+        ("70822001/SCT", "%", &function["ef_percent"]),
+        ("122446/DCM", "ml", &report["myocardium"]["mean_ml"]),
+        ("122447/DCM", "g", &report["myocardium"]["mass_g"]),
+        ("122182/DCM", "ms", &report["study"]["rr_interval_ms"]),
+        ("8867-4/LN", "{H.B.}/min", &report["study"]["heart_rate_bpm"]),
+        ("QUALITY_SCORE/99VENTRICLE", "1", &report["quality"]["score"]),
+    ] {
+        assert_measured(&groups[0], code, unit, expected);
     }
+    assert_eq!(groups[0]["method"], "CAMERA_MODEL/99VENTRICLE");
+    assert_eq!(groups[0]["sites"], serde_json::json!(["87878005/SCT"]));
+    let error = &groups[0]["measurements"]["70822001/SCT"]["properties"];
+    let told = &report["uncertainty"]["ef_percent"];
+    assert!((number(&error["386136009/SCT"]) - number(&told["standard_error"])).abs() < 1e-9, "{error}");
+    let above = number(&told["high_95"]) - number(&function["ef_percent"]);
+    assert!((number(&error["371886008/SCT"]) - above).abs() < 1e-9, "{error}");
+    for (gate, group) in report["gates"].as_array().unwrap().iter().zip(&groups[1..]) {
+        assert_eq!(group["tracking_identifier"], format!("Gate {}", gate["gate"]));
+        assert_eq!(group["time_points"], serde_json::json!([format!("Gate {} of 4", gate["gate"])]));
+        assert_measured(group, "ENDO_VOLUME/99VENTRICLE", "ml", &gate["endocardial_ml"]);
+        assert_measured(group, "EPI_VOLUME/99VENTRICLE", "ml", &gate["epicardial_ml"]);
+        assert_measured(group, "122446/DCM", "ml", &gate["myocardial_ml"]);
+        let phase = if gate["gate"] == function["end_diastolic_gate"] {
+            "416190007/SCT".into()
+        } else if gate["gate"] == function["end_systolic_gate"] {
+            "416430001/SCT".into()
+        } else {
+            Value::Null
+        };
+        assert_eq!(group["finding"], phase);
+    }
+    assert_eq!(read["flags"], report["quality"]["flags"]);
+    let comments = read["comments"].as_array().unwrap();
+    assert_eq!(comments.len(), report["warnings"].as_array().unwrap().len() + 1, "{comments:?}");
+}
 
-    // The surfaces.
+/// Every surface as STL, plain and as DICOM.
+async fn assert_surfaces(service: &Service, path: &str, report: &Value) {
     for (gate, told) in (1..).zip(report["gates"].as_array().unwrap()) {
         for surface in ["endocardial", "epicardial"] {
-            let stl = result(&service, &format!("{path}/gates/{gate}/{surface}.stl"), "model/stl").await;
+            let stl = result(service, &format!("{path}/gates/{gate}/{surface}.stl"), "model/stl").await;
             let (volume_ml, low, high) = stl_volume(&stl.bytes);
             let told_ml = number(&told[format!("{surface}_ml")]);
             // Single precision at some 100 mm from the origin: 1e-5 mm on some 100 cm².
@@ -266,7 +265,7 @@ async fn what_a_gated_study_gives_passes_validators_and_readers() {
             let apex = &report["pose"]["patient"]["apex_mm"];
             let within = |axis: usize| (low[axis] - 20.0..high[axis] + 20.0).contains(&number(&apex[axis]));
             assert!((0..3).all(within), "{surface} {gate} is not where the patient's heart is: {low:?} {high:?} {apex}");
-            let encapsulated = result(&service, &format!("{path}/gates/{gate}/{surface}.stl.dcm"), "application/dicom").await;
+            let encapsulated = result(service, &format!("{path}/gates/{gate}/{surface}.stl.dcm"), "application/dicom").await;
             let object = parsed(&encapsulated.bytes);
             assert_eq!(object.element_by_name("EncapsulatedDocument").unwrap().to_bytes().unwrap(), stl.bytes);
             let title = object.element_by_name("DocumentTitle").unwrap().to_str().unwrap().to_lowercase();
@@ -278,9 +277,10 @@ async fn what_a_gated_study_gives_passes_validators_and_readers() {
     }
     service.get(&format!("{path}/gates/5/endocardial.stl")).await.problem(404, "no_such_result");
     service.get(&format!("{path}/gates/0/epicardial.stl.dcm")).await.problem(404, "no_such_result");
+}
 
-    // The bundle.
-    let fhir = result(&service, &format!("{path}/fhir"), "application/fhir+json").await;
+/// The FHIR bundle of a gated study.
+fn assert_bundle(fhir: &Answer, report: &Value) {
     assert_fhir(&scratch("gated-fhir.json", &fhir.bytes));
     let bundle = fhir.json();
     let entries = bundle["entry"].as_array().unwrap();
@@ -301,8 +301,10 @@ async fn what_a_gated_study_gives_passes_validators_and_readers() {
     assert_eq!(results.len(), 11, "seven values and four gates");
     assert!(results.iter().all(|result| urns.contains(&&result["reference"])), "a result leads nowhere");
     assert!(entries.iter().all(|entry| entry["resource"]["subject"].is_null()), "no patient");
+}
 
-    // Conditions and media types.
+/// Entity tags and media types.
+async fn assert_conditions(service: &Service, path: &str, fhir: &[u8]) {
     for (name, other) in [("sr.dcm", "application/json"), ("fhir", "text/html"), ("gates/1/endocardial.stl", "model/gltf-binary")] {
         let first = service.get(&format!("{path}/{name}")).await;
         let again = service.get(&format!("{path}/{name}")).await;
@@ -312,11 +314,30 @@ async fn what_a_gated_study_gives_passes_validators_and_readers() {
         service.call("GET", &format!("{path}/{name}"), &[("accept", other)]).await.problem(406, "not_acceptable");
     }
     let plain = service.call("GET", &format!("{path}/fhir"), &[("accept", "application/json")]).await;
-    assert_eq!((plain.header("content-type"), &plain.bytes), ("application/json", &fhir.bytes));
+    assert_eq!((plain.header("content-type"), plain.bytes.as_slice()), ("application/json", fhir));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_gated_study_gives_passes_validators_and_readers() {
+    let service = reconstructing(false).await;
+    let path = reconstructed(&service, dicom(&beating())).await;
+    let job = service.get(&path).await.json();
+    assert_eq!(job["links"]["sr"], format!("{path}/sr.dcm"));
+    assert_eq!(job["links"]["fhir"], format!("{path}/fhir"));
+    let report = service.get(&format!("{path}/report")).await.json();
+
+    let sr = result(&service, &format!("{path}/sr.dcm"), "application/dicom").await;
+    assert_structured_report(&sr.bytes, &job, &report);
+    assert_surfaces(&service, &path, &report).await;
+    let fhir = result(&service, &format!("{path}/fhir"), "application/fhir+json").await;
+    assert_bundle(&fhir, &report);
+    assert_conditions(&service, &path, &fhir.bytes).await;
 
     // Nothing of the patient came in, however it was stored.
     assert!(contains(&dicom(&beating()), phantom::dicom::PATIENT_NAME.as_bytes()), "or else the next lines show nothing");
-    assert!(!contains(&on_disk(&service), phantom::dicom::PATIENT_NAME.as_bytes()));
+    let stored = on_disk(&service);
+    assert!(!contains(&stored, phantom::dicom::PATIENT_NAME.as_bytes()) && !contains(&stored, b"UEhBTlRPTV5WRU5UUklDTEU"), "nor in base64");
+    assert!(contains(&stored, report["study"]["study_instance_uid"].as_str().unwrap().as_bytes()), "or else this looks at nothing");
     assert!(!contains(&sr.bytes, b"PHANTOM"));
     for (tag, name) in [(Tag(0x10, 0x10), "name"), (Tag(0x10, 0x20), "id"), (Tag(0x8, 0x20), "study date")] {
         let object = parsed(&sr.bytes);
@@ -377,13 +398,27 @@ async fn a_kept_patient_is_in_dicom_results_alone_and_goes_with_the_job() {
     let kanji = b"Yamada^Tarou=\x1b$B;3ED\x1b(B^\x1b$BB@O:\x1b(B=\x1b$B$d$^$@\x1b(B^\x1b$B$?$m$&\x1b(B";
     assert!(subject.put(Attribute::SpecificCharacterSet, b"\\ISO 2022 IR 87") && subject.put(Attribute::PatientName, kanji));
     let id = path.rsplit('/').next().unwrap().parse().unwrap();
-    let finished = Finished { id, finished_at: "2026-01-02T03:04:05Z".parse().unwrap(), report, subject: Some(subject) };
+    let mut finished = Finished { id, finished_at: "2026-01-02T03:04:05Z".parse().unwrap(), report, subject: Some(subject) };
+    // And one gate without a cycle, whose uncertainty is its volume's.
+    finished.report.function = None;
+    finished.report.gates.truncate(1);
+    let error = finished.report.uncertainty.unwrap().edv_ml.standard_error;
     let file = scratch("escaped-sr.dcm", &archive::sr::write(&finished).unwrap());
     assert_dciodvfy(&file, "ComprehensiveSR");
     if let Some(read) = highdicom(&file) {
         assert_eq!(read["patient_name"], "Yamada^Tarou=山田^太郎=やまだ^たろう");
         assert_eq!(read["content_date_time"], "20260102030405");
+        let told = &read["groups"][1]["measurements"]["ENDO_VOLUME/99VENTRICLE"]["properties"]["386136009/SCT"];
+        assert!((number(told) - error).abs() < 1e-9, "{told}");
+        assert!(read["groups"][0]["measurements"]["8821-1/LN"].is_null());
     }
+    // Reports from before the classes and the frame of reference were kept.
+    let mut old = serde_json::to_value(&finished.report).unwrap();
+    for member in ["sop_class_uids", "frame_of_reference_uid"] {
+        assert!(old["study"].as_object_mut().unwrap().remove(member).is_some());
+    }
+    let old = Finished { report: serde_json::from_value(old).unwrap(), ..finished.clone() };
+    assert!(contains(&archive::sr::write(&old).unwrap(), b"1.2.840.10008.5.1.4.1.1.20"), "refers to images of the one class there was");
 
     // It goes with the job.
     let id: uuid::Uuid = id;
@@ -422,9 +457,6 @@ async fn an_ungated_study_and_one_without_uids_give_what_they_have() {
         let comments = read["comments"].to_string();
         if name == "still" {
             assert!(report["function"].is_null() && ef.is_null(), "{read:#}");
-            let error = number(&report["uncertainty"]["edv_ml"]["standard_error"]);
-            let told = number(&groups[1]["measurements"]["ENDO_VOLUME/99VENTRICLE"]["properties"]["386136009/SCT"]);
-            assert!((told - error).abs() < 1e-9, "the volume's own uncertainty is with it");
             assert_eq!(read["evidence"], report["study"]["sop_instance_uids"]);
             assert!(!comments.contains("refers to no images"), "{comments}");
         } else {
@@ -450,7 +482,14 @@ fn the_fhir_validator_would_find_a_fault() {
 
 #[tokio::test]
 async fn what_is_not_finished_or_has_failed_has_no_such_results() {
-    let names = ["sr.dcm", "fhir", "gates/1/endocardial.stl", "gates/1/epicardial.stl", "gates/1/endocardial.stl.dcm", "gates/1/epicardial.stl.dcm"];
+    let names = [
+        "sr.dcm",
+        "fhir",
+        "gates/1/endocardial.stl",
+        "gates/1/epicardial.stl",
+        "gates/1/endocardial.stl.dcm",
+        "gates/1/epicardial.stl.dcm",
+    ];
     let waiting = idle().await;
     let path = waiting.submit(1).await;
     let broken = working(failing()).await;
