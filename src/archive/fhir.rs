@@ -12,7 +12,7 @@ use super::{
 use crate::report::{ErrorSummary, GateReport};
 use serde_json::{Map, Value, json};
 
-/// The media types under which it is sent, the proper one first (FHIR R4, 3.1.0.1.10).
+/// The media types under which it is sent, the proper one first.
 pub const MEDIA_TYPES: [&str; 2] = ["application/fhir+json", "application/json"];
 
 const UNCERTAINTY: &str = "http://hl7.org/fhir/StructureDefinition/iso21090-uncertainty";

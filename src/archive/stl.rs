@@ -1,4 +1,4 @@
-//! A surface as DICOM Encapsulated STL (PS3.3 A.85.1): the file that [`crate::export::stl`] makes, filed with the study.
+//! A surface as DICOM Encapsulated STL (SOP Class 1.2.840.10008.5.1.4.1.1.104.3): the file that [`crate::export::stl`] makes, filed with the study.
 
 use super::{
     ArchiveError, Finished, Sources,
@@ -17,7 +17,7 @@ use dicom_dictionary_std::{tags, uids};
 /// Number of the series that all surfaces share.
 const SERIES_NUMBER: usize = 9902;
 
-/// Media type of an STL file (RFC 8081 gives the tree, IANA the name).
+/// Media type of an STL file, which DICOM has registered.
 pub const MEDIA_TYPE: &str = "model/stl";
 
 /// The surface of a gate (counted from 1) as a DICOM file.

@@ -14,7 +14,11 @@ use crate::{
     jobs::{Blob, work},
     pipeline::Surface,
 };
-use axum::{extract::State, http::HeaderMap, response::Response};
+use axum::{
+    extract::State,
+    http::{HeaderMap, header},
+    response::{IntoResponse, Response},
+};
 use uuid::Uuid;
 
 /// Reads the measurements as a DICOM structured report.
@@ -59,7 +63,8 @@ pub(super) async fn sr(State(state): State<AppState>, Id(id): Id, headers: Heade
 pub(super) async fn fhir(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     let media_type = negotiate::first_acceptable(&headers, &archive::fhir::MEDIA_TYPES)?;
     let bundle = archive::fhir::write(&finished(&state, id, "fhir").await?)?;
-    Ok(send(&headers, Blob::new(media_type, bundle)))
+    let vary = [(header::VARY, "accept")];
+    Ok((vary, send(&headers, Blob::new(media_type, bundle))).into_response())
 }
 
 /// Reads the inner surface of one gate as STL.

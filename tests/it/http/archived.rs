@@ -314,6 +314,7 @@ async fn assert_conditions(service: &Service, path: &str, fhir: &[u8]) {
         service.call("GET", &format!("{path}/{name}"), &[("accept", other)]).await.problem(406, "not_acceptable");
     }
     let plain = service.call("GET", &format!("{path}/fhir"), &[("accept", "application/json")]).await;
+    assert_eq!(plain.header("vary"), "accept");
     assert_eq!((plain.header("content-type"), plain.bytes.as_slice()), ("application/json", fhir));
 }
 
