@@ -2,7 +2,7 @@
 //! surface, FHIR bundle. Made when asked for, from the report and the surfaces as they are stored.
 //!
 //! Pure functions of their input: the same job gives the same bytes, so that a result that is fetched or sent twice is one object. Its UIDs
-//! are made from the job's id and from [`FORM`].
+//! are made from the job's id and the number of the form (`FORM`).
 
 mod codes;
 mod content;
