@@ -115,6 +115,7 @@ fn job(study: &Study) -> NewJob {
         idempotency_key: None,
         request_hash: [0; 32],
         study: study.clone(),
+        subject: None,
         parameters: Parameters::clinical(),
         retention: None,
         callback_url: None,

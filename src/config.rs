@@ -76,6 +76,11 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_KEEP_INPUT", value_parser = BoolishValueParser::new())]
     pub keep_input: bool,
 
+    /// Keeps the patient and study attributes of DICOM files (name, id, birth date, sex, accession number …) with their job, for its DICOM results
+    /// alone, so that they can be filed with the study.
+    #[arg(long, env = "VENTRICLE_KEEP_PATIENT", value_parser = BoolishValueParser::new())]
+    pub keep_patient: bool,
+
     /// Hours a finished reconstruction is kept with all its data, unless its request says otherwise; 0: until someone deletes it.
     #[arg(long, env = "VENTRICLE_RETENTION_HOURS", default_value = "720", value_parser = clap::value_parser!(u64).range(0..=LONGEST_RETENTION_HOURS))]
     pub retention_hours: u64,

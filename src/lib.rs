@@ -6,12 +6,14 @@
 //! |---|---|
 //! | [`volume`] | voxels, millimetres and the map between them |
 //! | [`study`] | a gated study: counts on a grid, where it lies in the patient |
+//! | [`subject`] | whom a study is of, where that is kept |
 //! | [`mesh`] | closed triangle meshes and what is measured on them |
 //! | [`phantom`] | analytic beating ventricles with exact volumes |
 //! | [`intake`] | bytes → study: DICOM, NIfTI, JSON, with their limits |
 //! | [`pipeline`] | study → reconstruction, pure functions, one file a stage |
 //! | [`report`] | reconstruction → what people read |
 //! | [`export`] | reconstruction → what people look at |
+//! | [`archive`] | stored results → what PACS and health records take |
 //! | [`paper`] | the tables and figures of the paper, redone |
 //! | [`drawing`] | tables and pictures for people |
 //! | [`accuracy`] | how far both presets are from the truth |
@@ -22,10 +24,12 @@
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod accuracy;
+pub mod archive;
 pub mod assembly;
 pub mod callbacks;
 pub mod config;
 pub mod drawing;
+mod elements;
 pub mod export;
 pub mod http;
 pub mod intake;
@@ -37,5 +41,6 @@ pub mod phantom;
 pub mod pipeline;
 pub mod report;
 pub mod study;
+pub mod subject;
 pub mod telemetry;
 pub mod volume;

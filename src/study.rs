@@ -93,6 +93,12 @@ pub struct Acquisition {
     pub series_instance_uid: Option<String>,
     /// DICOM SOP Instance UIDs (0008,0018) of the files, in the order received.
     pub sop_instance_uids: Vec<String>,
+    /// DICOM SOP Class UIDs (0008,0016) of the files, in the same order; empty for studies stored before these were kept.
+    #[serde(default)]
+    pub sop_class_uids: Vec<String>,
+    /// DICOM Frame of Reference UID (0020,0052).
+    #[serde(default)]
+    pub frame_of_reference_uid: Option<String>,
     /// Mean R-R interval in ms, from the header or the sum of the gates' durations.
     pub rr_interval_ms: Option<f64>,
     /// Heart rate in beats a minute, if the header has it.
@@ -107,6 +113,8 @@ impl Acquisition {
             study_instance_uid: None,
             series_instance_uid: None,
             sop_instance_uids: Vec::new(),
+            sop_class_uids: Vec::new(),
+            frame_of_reference_uid: None,
             rr_interval_ms: None,
             heart_rate_bpm: None,
         }

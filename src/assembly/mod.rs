@@ -13,7 +13,6 @@ use crate::{
     intake::{self, IntakeError},
     jobs::{NewJob, Store, StoreError},
     pipeline::parameters::Parameters,
-    study::Study,
 };
 use sha2::{Digest, Sha256};
 use std::{sync::Arc, time::Duration};
@@ -37,6 +36,8 @@ pub struct Settings {
     pub limits: intake::Limits,
     /// A series that does not say how many parts it has is taken as it is when none has come for so long.
     pub quiet: Duration,
+    /// Whether it is kept whom studies are of.
+    pub keep_subject: bool,
     /// Who is told of the end of the jobs.
     pub callback_url: Option<String>,
 }
@@ -78,12 +79,12 @@ impl Assembler {
     }
 
     /// Runs a parser on a thread that may take its time.
-    async fn parse<T: Send + 'static>(&self, parser: impl FnOnce(&intake::Limits) -> T + Send + 'static) -> Result<T, StoreError> {
+    async fn parse<T: Send + 'static>(&self, parser: impl FnOnce(&Settings) -> T + Send + 'static) -> Result<T, StoreError> {
         let settings = Arc::clone(&self.settings);
         let permit = Arc::clone(&self.parsers).acquire_owned().await.map_err(|_| StoreError::Interrupted)?;
         let parsed = tokio::task::spawn_blocking(move || {
             let _permit = permit; // held to the end even if the caller goes away
-            parser(&settings.limits)
+            parser(&settings)
         });
         parsed.await.map_err(|panic| {
             tracing::error!(%panic, "a parser panicked");
@@ -92,12 +93,13 @@ impl Assembler {
     }
 
     /// A job for a study, with the parameters of a request that says nothing.
-    fn new_job(&self, owner: &str, idempotency_key: Option<String>, study: Study, request_hash: [u8; 32]) -> NewJob {
+    fn new_job(&self, owner: &str, idempotency_key: Option<String>, received: intake::Received, request_hash: [u8; 32]) -> NewJob {
         NewJob {
             owner: owner.to_owned(),
             idempotency_key,
             request_hash,
-            study,
+            study: received.study,
+            subject: received.subject,
             parameters: Parameters::clinical(),
             retention: None,
             callback_url: self.settings.callback_url.clone(),
@@ -106,10 +108,11 @@ impl Assembler {
 }
 
 /// Reads the study that these files make.
-fn read(files: &[impl AsRef<[u8]>], limits: &intake::Limits) -> Result<Study, IntakeError> {
+fn read(files: &[impl AsRef<[u8]>], settings: &Settings) -> Result<intake::Received, IntakeError> {
     let part = |file| intake::Part { media_type: Some("application/dicom"), filename: None, bytes: file };
     let parts: Vec<_> = files.iter().map(|file| part(file.as_ref())).collect();
-    Ok(intake::read(&parts, &intake::Options::default(), limits)?.study)
+    let options = intake::Options { keep_subject: settings.keep_subject, ..intake::Options::default() };
+    intake::read(&parts, &options, &settings.limits)
 }
 
 fn digest(parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> [u8; 32] {

@@ -1,6 +1,6 @@
 //! The instances of one request or association: each is looked at as it comes, committed to disk, and answered for.
 
-use super::{Assembler, digest, read};
+use super::{Assembler, Settings, digest, read};
 use crate::{
     intake::{self, Holds, Instance, IntakeError},
     jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError},
@@ -93,7 +93,7 @@ pub struct Reception {
 /// An instance that was looked at, with its study if it is one.
 struct Examined {
     instance: Instance,
-    study: Option<crate::study::Study>,
+    study: Option<intake::Received>,
 }
 
 impl Reception {
@@ -113,7 +113,7 @@ impl Reception {
     /// Takes one instance. What is a study by itself is a job when this returns; a part is committed with others, at the latest by
     /// [`end`](Self::end).
     pub async fn take(&mut self, bytes: impl AsRef<[u8]> + Send + 'static) {
-        let examined = self.assembler.parse(move |limits| examine(bytes.as_ref(), limits)).await;
+        let examined = self.assembler.parse(move |settings| examine(bytes.as_ref(), settings)).await;
         let Examined { instance, study } = match examined {
             Ok(Ok(examined)) => examined,
             Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err(refused.error.into())),
@@ -163,7 +163,7 @@ impl Reception {
         NewInstance { series: Series { owner: self.owner.clone(), study_uid, series_uid }, class_uid, instance_uid, holds, data: excerpt }
     }
 
-    async fn submit(&mut self, study: crate::study::Study, instance: NewInstance) -> Result<(), Refusal> {
+    async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<(), Refusal> {
         let store = &self.assembler.store;
         let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
         let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.data]));
@@ -207,15 +207,15 @@ fn again(error: &SubmitError) -> Refusal {
     }
 }
 
-fn examine(bytes: &[u8], limits: &intake::Limits) -> Result<Examined, intake::Refused> {
-    let instance = intake::examine(bytes, limits)?;
+fn examine(bytes: &[u8], settings: &Settings) -> Result<Examined, intake::Refused> {
+    let instance = intake::examine(bytes, settings.keep_subject, &settings.limits)?;
     let study = if instance.holds == Holds::Study {
         let refused = |error| intake::Refused {
             class_uid: Some(instance.class_uid.clone()),
             instance_uid: Some(instance.instance_uid.clone()),
             error,
         };
-        Some(read(&[bytes], limits).map_err(refused)?)
+        Some(read(&[bytes], settings).map_err(refused)?)
     } else {
         None
     };

@@ -2,7 +2,7 @@
 
 use super::{Assembler, digest, read};
 use crate::{
-    intake::{Holds, IntakeError},
+    intake::{Holds, IntakeError, Received},
     jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
 };
 use uuid::Uuid;
@@ -61,7 +61,7 @@ impl Assembler {
         }
     }
 
-    async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<crate::study::Study, IntakeError>, StoreError> {
+    async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<Received, IntakeError>, StoreError> {
         let limit = self.settings.limits.body_bytes;
         let bytes: u64 = parts.iter().map(|part| part.size).sum();
         if bytes > limit as u64 {
@@ -71,7 +71,7 @@ impl Assembler {
         for part in parts {
             files.extend(self.store.excerpt(&series.owner, &part.instance_uid).await?);
         }
-        self.parse(move |limits| read(&files, limits)).await
+        self.parse(move |settings| read(&files, settings)).await
     }
 }
 

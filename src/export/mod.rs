@@ -3,6 +3,7 @@
 mod buffer;
 pub mod frame;
 pub mod glb;
+pub mod stl;
 pub mod vtu;
 
 use crate::pipeline::Surface;
@@ -49,6 +50,12 @@ pub enum ExportError {
     /// An array could not be compressed.
     #[error("The wall could not be written: {0}.")]
     Compression(#[from] std::io::Error),
+    /// A stored surface is not as it was written.
+    #[error("The stored surface has no {what} as this program writes it.")]
+    NotOurs {
+        /// What is missing.
+        what: &'static str,
+    },
     /// Both surfaces of a gate differ in topology.
     #[error("Gate {gate}: the surfaces do not have the same topology, so there are no tetrahedra between them.")]
     NoWall {

@@ -34,8 +34,8 @@ const CALLBACK_URL: &str = "{$request.body#/parameters/callback_url}";
                        fraction.\n\nSubmit a study to `POST /v1/reconstructions`, follow the job at its `Location` (poll, long-poll or \
                        server-sent events), then fetch its report and surfaces. JSON is snake_case with units in the names; times are \
                        RFC 3339 in UTC. Every refusal is an RFC 9457 problem document with a stable `code`; every answer has an \
-                       `X-Request-Id`, the one sent or a new one.\n\nNothing that names the patient is stored or returned; DICOM UIDs are. \
-                       Research use: not a medical device.",
+                       `X-Request-Id`, the one sent or a new one.\n\nNothing that names the patient is stored or returned, except that an operator can \
+                       have it in the DICOM results (`--keep-patient`); DICOM UIDs are. Research use: not a medical device.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     tags(

@@ -5,6 +5,7 @@
 
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
+mod archived;
 mod body;
 mod dicomweb;
 mod docs;
@@ -64,6 +65,7 @@ pub struct AppState {
     quiet: Duration,
     upload_time: Duration,
     longest_retention: Duration,
+    keep_patient: bool,
     parsers: Arc<Semaphore>,
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
@@ -91,6 +93,7 @@ impl AppState {
             quiet: QUIET,
             upload_time: Duration::from_mins(2),
             longest_retention: LONGEST_RETENTION,
+            keep_patient: false,
             parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
             workers_alive: Arc::new(|| true),
             disk: None,
@@ -127,6 +130,12 @@ impl AppState {
         Self { longest_retention, ..self }
     }
 
+    /// Keeping whom DICOM studies are of, for DICOM results.
+    #[must_use]
+    pub fn with_patients_kept(self, keep_patient: bool) -> Self {
+        Self { keep_patient, ..self }
+    }
+
     /// With someone who knows whether the workers run.
     #[must_use]
     pub fn with_workers(self, alive: impl Fn() -> bool + Send + Sync + 'static) -> Self {
@@ -161,6 +170,7 @@ impl AppState {
         let settings = assembly::Settings {
             limits: intake::Limits::clone(&self.limits),
             quiet: self.quiet,
+            keep_subject: self.keep_patient,
             callback_url: self.callbacks.as_ref().and_then(|rules| rules.default_url.clone()),
         };
         Assembler::new(self.store.clone(), settings, Arc::clone(&self.parsers))
@@ -205,6 +215,12 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::endocardial))
         .routes(routes!(results::epicardial))
         .routes(routes!(results::wall))
+        .routes(routes!(archived::sr))
+        .routes(routes!(archived::fhir))
+        .routes(routes!(archived::endocardial_stl))
+        .routes(routes!(archived::epicardial_stl))
+        .routes(routes!(archived::endocardial_stl_dicom))
+        .routes(routes!(archived::epicardial_stl_dicom))
         .routes(routes!(docs::list_parameters))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))

@@ -40,6 +40,12 @@ pub(super) fn acceptable(headers: &HeaderMap, offered: &'static str) -> Result<(
     if decision.is_some_and(|(_, allowed)| allowed) { Ok(()) } else { Err(NotAcceptable { offered }) }
 }
 
+/// The first of several media types for the same content that `Accept` allows; in the error the first of all.
+pub(super) fn first_acceptable(headers: &HeaderMap, offered: &[&'static str]) -> Result<&'static str, NotAcceptable> {
+    let allowed = offered.iter().copied().find(|media_type| acceptable(headers, media_type).is_ok());
+    allowed.ok_or(NotAcceptable { offered: offered.first().copied().unwrap_or_default() })
+}
+
 /// Whether `If-None-Match` names this entity tag (weak comparison, RFC 9110 §13.1.2).
 pub(super) fn none_match(headers: &HeaderMap, etag: &str) -> bool {
     let opaque = |tag: &str| tag.trim().trim_start_matches("W/").to_owned();

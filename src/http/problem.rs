@@ -2,6 +2,8 @@
 
 use super::{body::BodyError, health::Checks, negotiate::NotAcceptable};
 use crate::{
+    archive::ArchiveError,
+    export::ExportError,
     intake::{IntakeError, Nature},
     jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
@@ -261,6 +263,21 @@ impl From<&JobError> for Problem {
             _ => StatusCode::UNPROCESSABLE_ENTITY,
         };
         Self::new(status, &error.code, error.message.clone())
+    }
+}
+
+/// Results are made from what this program stored itself: nothing that a client could mend.
+impl From<ArchiveError> for Problem {
+    fn from(error: ArchiveError) -> Self {
+        tracing::error!(%error, "a result could not be made");
+        Self::internal()
+    }
+}
+
+impl From<ExportError> for Problem {
+    fn from(error: ExportError) -> Self {
+        tracing::error!(%error, "a stored surface could not be read");
+        Self::internal()
     }
 }
 

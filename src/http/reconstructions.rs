@@ -142,9 +142,9 @@ pub(super) async fn submit(
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let callbacks = state.callbacks.clone();
-    let longest_retention_s = state.longest_retention.as_secs();
+    let (longest_retention_s, keep_subject) = (state.longest_retention.as_secs(), state.keep_patient);
     let parsing = move |limits: &_| {
-        let rules = JobRules { longest_retention_s, callbacks: callbacks.as_deref() };
+        let rules = JobRules { longest_retention_s, keep_subject, callbacks: callbacks.as_deref() };
         receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules)
     };
     let new = state.parse(parsing).await?;
@@ -167,6 +167,8 @@ fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reser
 /// What a request may ask of its job.
 struct JobRules<'a> {
     longest_retention_s: u64,
+    /// Whether it is kept whom the study is of.
+    keep_subject: bool,
     /// `None`: there are no callbacks.
     callbacks: Option<&'a Rules>,
 }
@@ -182,7 +184,7 @@ fn receive(
 ) -> Result<NewJob, Problem> {
     let upload = Upload::new(content_type, bytes)?;
     let request_hash = upload.hash(&query);
-    let options = intake::Options { spacing_mm: take_spacing(&mut query)? };
+    let options = intake::Options { spacing_mm: take_spacing(&mut query)?, keep_subject: rules.keep_subject };
     let query = parameters::from_query(&query)?;
     let parts: Vec<_> = upload
         .files
@@ -202,7 +204,8 @@ fn receive(
     let parameters = parameters::resolve(request)?;
     region::check_marks(&received.study.grid, &parameters.region)?;
     pose::check_marks(&received.study.grid, &parameters.pose)?;
-    Ok(NewJob { owner: jobs::ANONYMOUS.to_owned(), idempotency_key, request_hash, study: received.study, parameters, retention, callback_url })
+    let (study, subject) = (received.study, received.subject);
+    Ok(NewJob { owner: jobs::ANONYMOUS.to_owned(), idempotency_key, request_hash, study, subject, parameters, retention, callback_url })
 }
 
 /// Who is told of the job's end: the URL asked for, if it may be called, else the operator's.

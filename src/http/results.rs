@@ -140,7 +140,7 @@ async fn result(state: &AppState, id: Uuid, headers: &HeaderMap, media_type: &'s
 }
 
 /// A blob, or 304 where the client has it. Caches may keep it but must ask again, since it can be deleted.
-fn send(headers: &HeaderMap, blob: Blob) -> Response {
+pub(super) fn send(headers: &HeaderMap, blob: Blob) -> Response {
     let etag = format!("\"{}\"", blob.sha256);
     let unchanged = negotiate::none_match(headers, &etag);
     let head = [(header::ETAG, etag), (header::CACHE_CONTROL, "private, no-cache".to_owned())];

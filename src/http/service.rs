@@ -180,6 +180,7 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
         .with_studies(settings.max_study_mb << 20, Duration::from_secs(settings.quiet_seconds))
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
         .with_longest_retention(settings.longest_retention())
+        .with_patients_kept(settings.keep_patient)
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
     if settings.database_url.is_some() {

@@ -35,7 +35,9 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
-        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+        "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
+        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
     }
 }))]
 pub struct JobView {
@@ -87,7 +89,9 @@ pub struct JobView {
         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
-        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+        "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+        "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
+        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
     }
 }))]
 pub struct CallbackView {
@@ -183,7 +187,7 @@ pub struct ProgressView {
     pub gates_total: u64,
 }
 
-/// Where everything about a job is, as paths on this server. `report` and `surfaces` answer 409 until the job has succeeded.
+/// Where everything about a job is, as paths on this server. All but `self` and `events` answer 409 until the job has succeeded.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Links {
     /// The job itself.
@@ -195,12 +199,23 @@ pub struct Links {
     pub report: String,
     /// Its surfaces over the cycle as animated glTF.
     pub surfaces: String,
+    /// Its measurements as a DICOM structured report.
+    pub sr: String,
+    /// Its measurements as a FHIR bundle.
+    pub fhir: String,
 }
 
 impl Links {
     fn of(job: &Job) -> Self {
         let this = path(job);
-        Self { events: format!("{this}/events"), report: format!("{this}/report"), surfaces: format!("{this}/surfaces.glb"), this }
+        Self {
+            events: format!("{this}/events"),
+            report: format!("{this}/report"),
+            surfaces: format!("{this}/surfaces.glb"),
+            sr: format!("{this}/sr.dcm"),
+            fhir: format!("{this}/fhir"),
+            this,
+        }
     }
 }
 

@@ -101,5 +101,5 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Received, IntakeErro
         Some(IgnoredAny) => serde_json::from_slice::<Body<'_, serde_json::Value>>(bytes).map_err(syntax)?.parameters,
         None => None,
     };
-    Ok(Received { study, parameters })
+    Ok(Received { study, parameters, subject: None })
 }

@@ -18,7 +18,7 @@ pub use dicom::{Holds, Instance, Refused, examine};
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;
 
-use crate::study::Study;
+use crate::{study::Study, subject::Subject};
 use std::ops::RangeInclusive;
 
 /// One body, or one part of a multipart body.
@@ -37,6 +37,8 @@ pub struct Part<'a> {
 pub struct Options {
     /// Distance between voxel centres along `[z, y, x]` in mm: needed for NPY, which cannot say it, and ignored by the other formats.
     pub spacing_mm: Option<[f64; 3]>,
+    /// Whether the patient and study attributes of DICOM files are kept ([`Received::subject`]).
+    pub keep_subject: bool,
 }
 
 /// What is accepted at most. The defaults hold every clinical gated SPECT study (64 or 128 rows, up to 64 slices, 8 to 32 gates) with room,
@@ -98,6 +100,8 @@ pub struct Received {
     pub study: Study,
     /// The `parameters` member of a JSON body, not yet judged.
     pub parameters: Option<serde_json::Value>,
+    /// Whom it is of; only if that was to be kept, and only of DICOM.
+    pub subject: Option<Subject>,
 }
 
 /// Reads one study from the parts of a request.
@@ -125,12 +129,17 @@ pub fn read(parts: &[Part<'_>], options: &Options, limits: &Limits) -> Result<Re
             format => format,
         })
         .collect::<Result<Vec<_>, _>>()?;
+    let mut subject = None;
     let study = match (parts, formats.as_slice()) {
         ([part], [sniff::Format::Json]) => return json::read(part.bytes, limits),
         ([part], [sniff::Format::Npy]) => npy::read(part.bytes, options, limits)?,
         ([part], [sniff::Format::Nifti]) => nifti::read(part.bytes, limits)?,
         ([part], [sniff::Format::Gzip]) => nifti::read_gzipped(part.bytes, limits)?,
-        (_, formats) if formats.iter().all(|format| *format == sniff::Format::Dicom) => dicom::read(parts, limits)?,
+        (_, formats) if formats.iter().all(|format| *format == sniff::Format::Dicom) => {
+            let (study, whose) = dicom::read(parts, options.keep_subject, limits)?;
+            subject = whose;
+            study
+        }
         (_, formats) => {
             let mut names: Vec<&str> = formats.iter().map(|format| format.name()).collect();
             names.dedup();
@@ -139,5 +148,5 @@ pub fn read(parts: &[Part<'_>], options: &Options, limits: &Limits) -> Result<Re
             });
         }
     };
-    Ok(Received { study, parameters: None })
+    Ok(Received { study, parameters: None, subject })
 }

@@ -1,10 +1,10 @@
-//! What follows when a job reaches its final state, in the same transaction: its input goes, its time to be kept begins, and whoever
+//! What follows when a job reaches its final state, in the same transaction: its input goes, and whom it is of if there is no result, its time to be kept begins, and whoever
 //! asked for it will be told.
 
 use super::{
     database::{Transaction, values},
     error::StoreError,
-    store::{INPUT, Store},
+    store::{INPUT, SUBJECT, Store},
 };
 use std::time::Duration;
 use uuid::Uuid;
@@ -18,6 +18,10 @@ impl Store {
         if !self.inner.settings.keep_input {
             transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
         }
+        // Without results there is nothing to file.
+        let needless = "DELETE FROM blobs WHERE job_id = $1 AND name = $2
+            AND EXISTS (SELECT 1 FROM jobs WHERE jobs.id = $1 AND jobs.state <> 'succeeded')";
+        transaction.execute(needless, values![id, SUBJECT]).await?;
         let kept_ms = self.inner.settings.retention.map(kept_ms);
         let expires = "UPDATE jobs SET expires_at = finished_at + COALESCE(retention_ms, $2) WHERE id = $1";
         transaction.execute(expires, values![id, kept_ms]).await?;

@@ -1,6 +1,7 @@
 //! What a caller sees of a job.
 
-use crate::{pipeline::parameters::Parameters, study::Study};
+use super::store::sha256;
+use crate::{pipeline::parameters::Parameters, study::Study, subject::Subject};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
@@ -109,6 +110,8 @@ pub struct NewJob {
     pub request_hash: [u8; 32],
     /// The study, already parsed and checked.
     pub study: Study,
+    /// Whom it is of, if that is kept.
+    pub subject: Option<Subject>,
     /// The resolved parameters.
     pub parameters: Parameters,
     /// How long the job is kept after its end, if not as long as others ([`super::StoreSettings::retention`]).
@@ -186,6 +189,13 @@ pub struct Blob {
     pub sha256: String,
     /// The data.
     pub data: Vec<u8>,
+}
+
+impl Blob {
+    /// A result that is made when it is asked for.
+    pub fn new(media_type: &str, data: Vec<u8>) -> Self {
+        Self { media_type: media_type.to_owned(), sha256: sha256(&data), data }
+    }
 }
 
 /// How full the store is.

@@ -12,6 +12,7 @@ use super::{
     settings::{Backend, StoreSettings},
     watch::Watchers,
 };
+use crate::subject::Subject;
 use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::{
@@ -24,6 +25,8 @@ use uuid::Uuid;
 
 /// Name of the blob that holds the study.
 pub(super) const INPUT: &str = "input";
+/// Name of the blob that says whom the study is of.
+pub(super) const SUBJECT: &str = "subject";
 
 /// What every read of a job selects. The place in the queue is counted only where there is one.
 const SELECT: &str = "
@@ -202,6 +205,12 @@ impl Store {
         drop(row);
         let data = intact(id, name, sha256.clone(), data).await?;
         Ok(Some(Blob { media_type, sha256, data }))
+    }
+
+    /// Whom a job's study is of, if that was kept.
+    pub async fn subject(&self, id: Uuid) -> Result<Option<Subject>, StoreError> {
+        let Some(blob) = self.blob(id, SUBJECT).await? else { return Ok(None) };
+        Subject::decode(&blob.data).map(Some).map_err(|error| StoreError::Damaged { what: format!("subject of job {id}: {error}") })
     }
 
     /// Waits until the job's version differs from `seen_version`, the job is in a final state, or the time is over, whichever is

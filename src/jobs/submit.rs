@@ -8,7 +8,7 @@ use super::{
     input,
     job::{NewJob, Submitted},
     queue::{Load, Reservation},
-    store::{INPUT, Store, insert_blob, parse_id, sha256},
+    store::{INPUT, SUBJECT, Store, insert_blob, parse_id, sha256},
 };
 use uuid::Uuid;
 
@@ -77,7 +77,7 @@ impl NewRow {
         Ok(Self { id: Uuid::now_v7(), new, parameters, input, sha256 })
     }
 
-    async fn insert(self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
+    async fn insert(mut self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
         let sql = store.inner.database.render(
             "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
                 max_attempts, run_after, gates_total, created_at, retention_ms, callback_url)
@@ -99,7 +99,12 @@ impl NewRow {
             self.new.callback_url,
         ];
         transaction.fetch(&sql, values).await?;
-        insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await
+        insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await?;
+        if let Some(subject) = self.new.subject.take() {
+            let subject = subject.encode();
+            insert_blob(transaction, self.id, SUBJECT, "application/json", sha256(&subject), subject).await?;
+        }
+        Ok(())
     }
 }
 

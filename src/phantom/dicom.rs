@@ -3,10 +3,10 @@
 //! A gated study is a RECON GATED TOMO whose frames run over R-R interval, time slot and slice (the last fastest), an ungated one a RECON
 //! TOMO. The module list is that of PS3.3 A.5 (NM Image IOD); the patient is synthetic.
 
-use super::{PhantomError, identity};
+use super::PhantomError;
+use crate::elements::{self, Element, code, decimals, empty, number, numbers, sequence, text};
 use crate::study::{Orientation, Study};
-use dicom_core::value::DataSetSequence;
-use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_core::{PrimitiveValue, Tag, VR};
 use dicom_dictionary_std::{tags, uids};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 
@@ -50,8 +50,6 @@ pub fn write(study: &Study) -> Result<Vec<u8>, PhantomError> {
     Ok(bytes)
 }
 
-type Element = DataElement<InMemDicomObject>;
-
 /// Counts of all frames: gates, then slices, then rows, then columns.
 fn pixels(study: &Study) -> Vec<u16> {
     let scale = scale(study);
@@ -59,55 +57,13 @@ fn pixels(study: &Study) -> Vec<u16> {
     counts.map(|&count| (f64::from(count) * scale).round().clamp(0.0, f64::from(u16::MAX)) as u16).collect()
 }
 
-fn text(tag: Tag, vr: VR, value: impl Into<String>) -> Element {
-    Element::new(tag, vr, PrimitiveValue::from(value.into()))
-}
-
-fn empty(tag: Tag, vr: VR) -> Element {
-    Element::new(tag, vr, PrimitiveValue::Empty)
-}
-
-fn number(tag: Tag, value: usize) -> Element {
-    Element::new(tag, VR::US, PrimitiveValue::from(value as u16))
-}
-
-fn numbers(tag: Tag, values: impl Iterator<Item = usize>) -> Element {
-    Element::new(tag, VR::US, PrimitiveValue::U16(values.map(|value| value as u16).collect()))
-}
-
-fn sequence(tag: Tag, items: impl IntoIterator<Item = Vec<Element>>) -> Element {
-    let items: Vec<InMemDicomObject> = items.into_iter().map(InMemDicomObject::from_element_iter).collect();
-    Element::new(tag, VR::SQ, DataSetSequence::from(items))
-}
-
-fn code(value: &str, scheme: &str, meaning: &str) -> Vec<Element> {
-    vec![
-        text(tags::CODE_VALUE, VR::SH, value),
-        text(tags::CODING_SCHEME_DESIGNATOR, VR::SH, scheme),
-        text(tags::CODE_MEANING, VR::LO, meaning),
-    ]
-}
-
-/// Decimal strings, each within DICOM's 16 characters.
-fn decimals(tag: Tag, values: &[f64]) -> Element {
-    text(tag, VR::DS, values.iter().map(|&value| decimal(value)).collect::<Vec<_>>().join("\\"))
-}
-
-fn decimal(value: f64) -> String {
-    let plain = format!("{value}");
-    if plain.len() <= 16 {
-        return plain;
-    }
-    (0..=12).rev().map(|digits| format!("{value:.digits$}")).find(|text| text.len() <= 16).unwrap_or_else(|| format!("{value:.8e}"))
-}
-
 /// Who, when, what: Patient, General Study, General Series, Equipment, SOP Common, Frame of Reference.
 fn identity_elements(study: &Study, pixels: &[u16]) -> Vec<Element> {
     let facts = &study.acquisition;
     let described: Vec<u8> = pixels.iter().flat_map(|pixel| pixel.to_le_bytes()).collect();
-    let uid = |given: Option<&String>, purpose: &str| given.cloned().unwrap_or_else(|| identity::uid(purpose, &described));
+    let uid = |given: Option<&String>, purpose: &str| given.cloned().unwrap_or_else(|| elements::uid(purpose, &described));
     let study_uid = uid(facts.study_instance_uid.as_ref(), "study");
-    let frame_of_reference = identity::uid("frame of reference", study_uid.as_bytes());
+    let frame_of_reference = elements::uid("frame of reference", study_uid.as_bytes());
     let description = if study.is_gated() { "Gated short axis, simulated" } else { "Short axis, simulated" };
     let mut elements = vec![
         text(tags::SPECIFIC_CHARACTER_SET, VR::CS, "ISO_IR 192"),

@@ -1,23 +1,12 @@
 //! UIDs that depend on the parameters alone: the same phantom is the same study wherever it is made.
 
 use super::Phantom;
-use sha2::{Digest, Sha256};
+use crate::elements::uid;
 
 /// Study, series and instance UID of a phantom.
 pub(super) fn uids_of(phantom: &Phantom) -> (String, String, String) {
     let described = format!("{phantom:?}");
     (uid("study", described.as_bytes()), uid("series", described.as_bytes()), uid("instance", described.as_bytes()))
-}
-
-/// A UID under 2.25 (ISO/IEC 9834-8: a UUID as one number) from the hash of a purpose and a description.
-pub(super) fn uid(purpose: &str, described: &[u8]) -> String {
-    let hash = Sha256::new().chain_update(purpose).chain_update([0]).chain_update(described).finalize();
-    let mut number = [0; 16];
-    number.copy_from_slice(&hash[..16]);
-    // Version 8 (custom) and the RFC 9562 variant, so that the number is a valid UUID.
-    number[6] = (number[6] & 0x0f) | 0x80;
-    number[8] = (number[8] & 0x3f) | 0x80;
-    format!("2.25.{}", u128::from_be_bytes(number))
 }
 
 #[cfg(test)]

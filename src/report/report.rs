@@ -87,6 +87,14 @@ pub struct StudySummary {
     pub series_instance_uid: Option<String>,
     /// DICOM SOP Instance UIDs of the files, in the order received.
     pub sop_instance_uids: Vec<String>,
+    /// DICOM SOP Class UIDs of the files, in the same order.
+    #[serde(default)]
+    #[schema(required)]
+    pub sop_class_uids: Vec<String>,
+    /// DICOM Frame of Reference UID, if the input has one.
+    #[serde(default)]
+    #[schema(required)]
+    pub frame_of_reference_uid: Option<String>,
     /// The format it came in: `dicom`, `nifti`, `json` or `phantom`.
     #[schema(value_type = String, example = "dicom")]
     pub format: Format,
@@ -299,6 +307,8 @@ fn study_summary(study: &Study) -> StudySummary {
         study_instance_uid: said.study_instance_uid.clone(),
         series_instance_uid: said.series_instance_uid.clone(),
         sop_instance_uids: said.sop_instance_uids.clone(),
+        sop_class_uids: said.sop_class_uids.clone(),
+        frame_of_reference_uid: said.frame_of_reference_uid.clone(),
         format: said.format,
         gates: study.gates.len(),
         grid: GridSummary { shape: study.grid.shape, spacing_mm: study.grid.spacing_mm },

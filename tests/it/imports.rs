@@ -23,18 +23,20 @@ enum External {
     AllBut(&'static [&'static str]),
 }
 
-const NUMERICS: &[&str] = &["volume", "mesh", "study", "phantom", "intake", "pipeline", "report", "export", "parameters"];
+const NUMERICS: &[&str] = &["volume", "mesh", "study", "subject", "phantom", "intake", "pipeline", "report", "export", "parameters"];
 
 /// `paper`, `accuracy` and `drawing` are not among them: nothing of the service needs them.
 const EVERYTHING: &[&str] = &[
     "volume",
     "mesh",
     "study",
+    "subject",
     "phantom",
     "intake",
     "pipeline",
     "report",
     "export",
+    "archive",
     "parameters",
     "jobs",
     "callbacks",
@@ -77,8 +79,14 @@ const RULES: &[Rule] = &[
     Rule { module: "volume", crate_modules: &[], external: External::Only(&["ndarray", "glam", "serde"]) },
     Rule { module: "mesh", crate_modules: &[], external: External::Only(&["ndarray", "glam", "serde"]) },
     Rule { module: "study", crate_modules: &["volume"], external: External::Only(&["ndarray", "glam", "serde"]) },
-    Rule { module: "phantom", crate_modules: &["volume", "study", "mesh"], external: External::NoServiceNor(&["utoipa"]) },
-    Rule { module: "intake", crate_modules: &["volume", "study"], external: External::NoServiceNor(&["utoipa", "rayon"]) },
+    Rule { module: "subject", crate_modules: &[], external: External::Only(&["base64", "serde", "serde_json", "thiserror"]) },
+    Rule {
+        module: "elements",
+        crate_modules: &[],
+        external: External::Only(&["dicom_core", "dicom_dictionary_std", "dicom_object", "sha2"]),
+    },
+    Rule { module: "phantom", crate_modules: &["volume", "study", "mesh", "elements"], external: External::NoServiceNor(&["utoipa"]) },
+    Rule { module: "intake", crate_modules: &["volume", "study", "subject"], external: External::NoServiceNor(&["utoipa", "rayon"]) },
     Rule {
         module: "pipeline",
         crate_modules: &["volume", "mesh", "study"],
@@ -86,6 +94,12 @@ const RULES: &[Rule] = &[
     },
     Rule { module: "report", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&[]) },
     Rule { module: "export", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&["utoipa"]) },
+    // Made from what is stored, so from neither study nor reconstruction.
+    Rule {
+        module: "archive",
+        crate_modules: &["subject", "elements", "pipeline", "report", "export"],
+        external: External::NoServiceNor(&["glam", "ndarray", "rayon", "utoipa"]),
+    },
     Rule { module: "parameters", crate_modules: &["pipeline"], external: External::NoServiceNor(&[]) },
     Rule { module: "drawing", crate_modules: &[], external: External::NoServiceNor(&["rayon", "utoipa"]) },
     // Tables 1 and 4 print seconds.

@@ -14,7 +14,7 @@ use ventricle::intake::{IntakeError, Limits, Options, Part, Received, read};
 /// Reads one body without a declared type.
 fn read_one(bytes: &[u8]) -> Result<Received, IntakeError> {
     // Only NPY looks at the spacing.
-    let options = Options { spacing_mm: Some([6.5, 3.0, 2.5]) };
+    let options = Options { spacing_mm: Some([6.5, 3.0, 2.5]), ..Options::default() };
     read(&[Part { media_type: None, filename: None, bytes }], &options, &Limits::default())
 }
 

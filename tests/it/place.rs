@@ -172,6 +172,7 @@ pub(crate) fn study() -> Study {
 
 pub(crate) fn new_job() -> NewJob {
     NewJob {
+        subject: None,
         owner: "someone".into(),
         idempotency_key: None,
         request_hash: [1; 32],

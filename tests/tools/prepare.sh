@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, strace for what is written to
-# disk, Node with the Khronos validator for glTF, PostgreSQL for what is stored there. What cannot be installed is said; its tests then
-# skip, or fail when CI is set.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) and dsrdump (dcmtk) for DICOM, strace for what is
+# written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured reports, PostgreSQL for what is stored there.
+# What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -13,9 +13,12 @@ as_root() {
 
 missing=()
 command -v dciodvfy >/dev/null || missing+=(dicom3tools)
+command -v dsrdump >/dev/null || missing+=(dcmtk)
 command -v strace >/dev/null || missing+=(strace)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)
+# Debian's python3 has venv but not what fills it.
+python3 -c 'import ensurepip' 2>/dev/null || missing+=(python3 python3-venv)
 command -v initdb >/dev/null || compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || missing+=(postgresql)
 if ((${#missing[@]})); then
   if command -v apt-get >/dev/null && as_root true; then
@@ -37,8 +40,18 @@ fi
 if command -v npm >/dev/null; then
   # npm leaves a copy of the lock file in node_modules: newer than ours means installed from it.
   if [[ ! node_modules/.package-lock.json -nt package-lock.json ]]; then
-    npm ci --silent --no-audit --no-fund || echo "not installed: the glTF validator (npm ci failed in tests/tools)"
+    npm ci --silent --no-audit --no-fund || echo "not installed: the validators for glTF and FHIR (npm ci failed in tests/tools)"
   fi
 else
-  echo "not installed: the glTF validator (npm is missing)"
+  echo "not installed: the validators for glTF and FHIR (npm is missing)"
+fi
+
+if python3 -c 'import ensurepip' 2>/dev/null; then
+  # The copy of the list beside the packages says what they were installed from.
+  if ! cmp -s requirements.txt .venv/requirements.txt; then
+    { rm -rf .venv && python3 -m venv .venv && .venv/bin/pip install --quiet --disable-pip-version-check --requirement requirements.txt &&
+      cp requirements.txt .venv/; } || echo "not installed: the Python packages of tests/tools/requirements.txt (pip failed)"
+  fi
+else
+  echo "not installed: the Python packages of tests/tools/requirements.txt (python3-venv is missing)"
 fi

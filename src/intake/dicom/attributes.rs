@@ -11,7 +11,7 @@ use dicom_object::InMemDicomObject;
 use dicom_transfer_syntax_registry::entries;
 
 /// The attributes that the intake reads from the outermost data set. None of them names the patient.
-const READ: [Tag; 45] = [
+const READ: [Tag; 46] = [
     tags::IMAGE_TYPE,
     tags::SOP_CLASS_UID,
     tags::SOP_INSTANCE_UID,
@@ -26,6 +26,7 @@ const READ: [Tag; 45] = [
     tags::HEART_RATE,
     tags::STUDY_INSTANCE_UID,
     tags::SERIES_INSTANCE_UID,
+    tags::FRAME_OF_REFERENCE_UID,
     tags::INSTANCE_NUMBER,
     tags::IMAGE_POSITION_PATIENT,
     tags::IMAGE_ORIENTATION_PATIENT,

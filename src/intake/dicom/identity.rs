@@ -103,6 +103,12 @@ pub(super) fn check(attributes: &Attributes, scan: &Scan<'_>, frames: usize, war
     }
 }
 
+/// The class that an object which passed [`check`] is read as: its own, or that of NM images where it says none.
+pub(super) fn class_uid(attributes: &Attributes, scan: &Scan<'_>) -> String {
+    let said = attributes.text(tags::SOP_CLASS_UID).or_else(|| scan.media_class.clone());
+    said.filter(|uid| uid == NUCLEAR_MEDICINE_RETIRED).unwrap_or_else(|| NUCLEAR_MEDICINE.to_owned())
+}
+
 fn class_name(uid: &str) -> String {
     CLASSES
         .iter()

@@ -5,7 +5,8 @@ use super::attributes::{Attributes, is_read};
 use super::identity::NUCLEAR_MEDICINE;
 use super::object::Object;
 use super::parts::{self, Holds};
-use crate::intake::prescan::{self, Pixels, Scan};
+use super::subject;
+use crate::intake::prescan::{self, Element, Pixels, Scan};
 use crate::intake::{IntakeError, Limits, Part, sniff};
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
@@ -24,7 +25,7 @@ pub struct Instance {
     pub series_uid: String,
     /// What part of a study it is.
     pub holds: Holds,
-    /// A DICOM file with its pixel data and the attributes that are read, none of which names the patient.
+    /// A DICOM file with its pixel data and the attributes that are read, of which none names the patient unless that is to be kept.
     pub excerpt: Vec<u8>,
 }
 
@@ -42,9 +43,11 @@ pub struct Refused {
 
 /// Looks at one DICOM object: it must be, or be part of, a study that can be reconstructed, and its pixel data must be whole.
 ///
+/// The excerpt holds whom it is of if that is to be kept.
+///
 /// # Errors
 /// [`Refused`] for everything else; the UIDs are there if the object could be parsed.
-pub fn examine(bytes: &[u8], limits: &Limits) -> Result<Instance, Refused> {
+pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Instance, Refused> {
     let unnamed = |error: IntakeError| Refused { class_uid: None, instance_uid: None, error };
     let part = Part { media_type: Some("application/dicom"), filename: None, bytes };
     match sniff::format(&part).map_err(unnamed)? {
@@ -56,7 +59,7 @@ pub fn examine(bytes: &[u8], limits: &Limits) -> Result<Instance, Refused> {
     let (class_uid, instance_uid) = (attributes.uid(tags::SOP_CLASS_UID), attributes.uid(tags::SOP_INSTANCE_UID));
     let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error };
     let again = prescan::scan(bytes, limits).map_err(|error| named(error.into()))?;
-    let object = Object::of(again, attributes, limits, &mut Vec::new()).map_err(named)?;
+    let object = Object::of(again, attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
     let holds = parts::holds(&object).map_err(named)?;
     let needed = |uid: &Option<String>, name, tag: Tag| {
         let advice = "instances are told apart and put together by it";
@@ -68,12 +71,12 @@ pub fn examine(bytes: &[u8], limits: &Limits) -> Result<Instance, Refused> {
         study_uid: needed(&object.study_uid, "Study Instance UID", tags::STUDY_INSTANCE_UID)?,
         series_uid: needed(&object.series_uid, "Series Instance UID", tags::SERIES_INSTANCE_UID)?,
         holds,
-        excerpt: excerpt(&scan, &object).map_err(named)?,
+        excerpt: excerpt(&scan, keep_subject, &object).map_err(named)?,
     })
 }
 
 /// A Part-10 file of the elements that are read and the pixel data, each as it is in the file; what was deflated is not any more.
-fn excerpt(scan: &Scan<'_>, object: &Object<'_>) -> Result<Vec<u8>, IntakeError> {
+fn excerpt(scan: &Scan<'_>, keep_subject: bool, object: &Object<'_>) -> Result<Vec<u8>, IntakeError> {
     let failed = |error: &dyn std::fmt::Display| IntakeError::UnreadableDataSet { reason: format!("it could not be written again: {error}") };
     let inflated = matches!(scan.data, std::borrow::Cow::Owned(_));
     let meta = FileMetaTableBuilder::new()
@@ -85,7 +88,8 @@ fn excerpt(scan: &Scan<'_>, object: &Object<'_>) -> Result<Vec<u8>, IntakeError>
     let mut file = vec![0; 128];
     file.extend_from_slice(b"DICM");
     meta.write(&mut file).map_err(|error| failed(&error))?;
-    for element in scan.elements.iter().filter(|element| is_read(element)) {
+    let kept = |element: &&Element| is_read(element) || (keep_subject && subject::names(element.tag));
+    for element in scan.elements.iter().filter(kept) {
         file.extend_from_slice(&scan.data[element.bytes.clone()]);
     }
     write_pixels(scan, &mut file);

@@ -12,6 +12,7 @@ mod object;
 mod parts;
 mod pixels;
 mod series;
+mod subject;
 mod timing;
 
 pub use instance::{Instance, Refused, examine};
@@ -19,13 +20,14 @@ pub use parts::Holds;
 
 use super::{IntakeError, Limits, Part, counts};
 use crate::study::{Acquisition, Format, Study, Warning};
+use crate::subject::Subject;
 use crate::volume::Grid;
 use frames::Arrangement;
 use ndarray::{Array3, Axis};
 use object::Object;
 
-/// Reads one multi-frame object, or the files of one series.
-pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeError> {
+/// Reads one multi-frame object, or the files of one series, and whom they are of if that is to be kept.
+pub(super) fn read(parts: &[Part<'_>], keep_subject: bool, limits: &Limits) -> Result<(Study, Option<Subject>), IntakeError> {
     let mut warnings = Vec::new();
     let mut objects: Vec<Object<'_>> = Vec::with_capacity(parts.len());
     // What all files together may take; each file leaves less for the next.
@@ -34,7 +36,7 @@ pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeE
         let in_file = |error| if parts.len() == 1 { error } else { IntakeError::InFile { file: index + 1, source: Box::new(error) } };
         // Of a series, the first file speaks for all.
         let mut own = Vec::new();
-        let object = Object::read(part.bytes, &remaining, &mut own).map_err(in_file)?;
+        let object = Object::read(part.bytes, keep_subject, &remaining, &mut own).map_err(in_file)?;
         remaining.inflated_bytes -= object.pixels.inflated_bytes();
         remaining.described_bytes -= object.attributes.bytes;
         objects.push(object);
@@ -46,7 +48,8 @@ pub(super) fn read(parts: &[Part<'_>], limits: &Limits) -> Result<Study, IntakeE
         [object] => Arrangement::of_object(object, &mut warnings)?,
         objects => series::arrange(objects, &mut warnings)?,
     };
-    build(&objects, &arrangement, limits, warnings)
+    let subject = subject::of_all(&objects)?;
+    Ok((build(&objects, &arrangement, limits, warnings)?, subject))
 }
 
 /// Decodes the frames into their places.
@@ -79,6 +82,8 @@ fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut
         study_instance_uid: first.study_uid.clone(),
         series_instance_uid: first.series_uid.clone(),
         sop_instance_uids: objects.iter().filter_map(|object| object.instance_uid.clone()).collect(),
+        sop_class_uids: objects.iter().filter(|object| object.instance_uid.is_some()).map(|object| object.class_uid.clone()).collect(),
+        frame_of_reference_uid: first.attributes.uid(dicom_dictionary_std::tags::FRAME_OF_REFERENCE_UID),
         rr_interval_ms: timing.rr_interval_ms,
         heart_rate_bpm: timing.heart_rate_bpm,
     };

@@ -3,9 +3,11 @@
 use super::attributes::{Attributes, invalid};
 use super::identity::{self, Kind};
 use super::pixels::Pixels;
+use super::subject;
 use crate::intake::prescan::{self, Scan};
 use crate::intake::{IntakeError, Limits, counts};
 use crate::study::Warning;
+use crate::subject::Subject;
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 
@@ -21,18 +23,22 @@ pub(super) struct Object<'a> {
     pub(super) study_uid: Option<String>,
     pub(super) series_uid: Option<String>,
     pub(super) instance_uid: Option<String>,
+    /// The class as which it was read.
+    pub(super) class_uid: String,
+    /// Whom it is of, if that is to be kept.
+    pub(super) subject: Option<Subject>,
 }
 
 impl<'a> Object<'a> {
     /// Scans, parses and checks one file.
-    pub(super) fn read(bytes: &'a [u8], limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
+    pub(super) fn read(bytes: &'a [u8], keep_subject: bool, limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
         let scan = prescan::scan(bytes, limits)?;
         let attributes = Attributes::parse(&scan, limits)?;
-        Self::of(scan, attributes, limits, warnings)
+        Self::of(scan, attributes, keep_subject, limits, warnings)
     }
 
     /// Checks one file that was scanned and parsed.
-    pub(super) fn of(scan: Scan<'a>, attributes: Attributes, limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
+    pub(super) fn of(scan: Scan<'a>, attributes: Attributes, keep_subject: bool, limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
         let declared_frames = attributes.integer(tags::NUMBER_OF_FRAMES, "Number of Frames");
         let kind = identity::check(
             &attributes,
@@ -65,8 +71,10 @@ impl<'a> Object<'a> {
         let study_uid = attributes.uid(tags::STUDY_INSTANCE_UID);
         let series_uid = attributes.uid(tags::SERIES_INSTANCE_UID);
         let instance_uid = attributes.uid(tags::SOP_INSTANCE_UID);
+        let class_uid = identity::class_uid(&attributes, &scan);
+        let subject = keep_subject.then(|| subject::of_scan(&scan, warnings));
         let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], warnings)?;
-        Ok(Self { attributes, kind, rows, columns, frames, pixels, study_uid, series_uid, instance_uid })
+        Ok(Self { attributes, kind, rows, columns, frames, pixels, study_uid, series_uid, instance_uid, class_uid, subject })
     }
 }
 

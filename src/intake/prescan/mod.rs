@@ -57,6 +57,8 @@ pub(in crate::intake) struct Element {
     pub(in crate::intake) tag: Tag,
     /// Header and value.
     pub(in crate::intake) bytes: Range<usize>,
+    /// Where the value begins.
+    pub(in crate::intake) value_start: usize,
     /// Whether another parser must read the same structure: not so when it holds UN of undefined length, which some read as explicit.
     pub(in crate::intake) unambiguous: bool,
 }
@@ -236,7 +238,7 @@ impl Walk<'_> {
                 }
                 (Holds::Elements, tag) => {
                     if open.len() == 1 {
-                        self.elements.push(Element { tag, bytes: at..at, unambiguous: true });
+                        self.elements.push(Element { tag, bytes: at..at, value_start: header.value_start, unambiguous: true });
                     }
                     self.element(&mut open, &header, end, explicit)?
                 }

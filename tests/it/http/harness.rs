@@ -42,7 +42,7 @@ pub(super) struct Service {
     pub state: AppState,
     pub store: Store,
     pub workers: Option<Workers>,
-    _directory: Directory,
+    pub directory: Directory,
 }
 
 /// A service without workers: what is submitted stays queued.
@@ -64,7 +64,7 @@ pub(super) async fn with(settings: StoreSettings, work: Option<Work>, adapt: imp
         start_workers(store.clone(), settings).unwrap()
     });
     let state = adapt(AppState::new(store.clone()));
-    Service { router: router(state.clone()), state, store, workers, _directory: directory }
+    Service { router: router(state.clone()), state, store, workers, directory }
 }
 
 /// Work that is done at once.

@@ -133,7 +133,7 @@ fn study(bytes: &[u8]) -> Study {
 
 fn read_npy(bytes: &[u8], spacing_mm: Option<[f64; 3]>) -> Result<Study, IntakeError> {
     let part = Part { media_type: Some("application/x-npy"), filename: None, bytes };
-    read(&[part], &Options { spacing_mm }, &Limits::default()).map(|received| received.study)
+    read(&[part], &Options { spacing_mm, ..Options::default() }, &Limits::default()).map(|received| received.study)
 }
 
 fn assert_voxels(study: &Study) {

@@ -3,7 +3,9 @@
 use super::writer::{Element, Syntax, Value, file, items, text, words};
 use super::{read_all, read_one};
 use glam::DVec3;
+use ventricle::intake::{IntakeError, Limits, Options, Part, Received, read};
 use ventricle::study::Study;
+use ventricle::subject::Attribute;
 
 pub(super) const GATES: usize = 2;
 pub(super) const SLICES: usize = 4;
@@ -366,6 +368,8 @@ fn a_file_a_gate_makes_the_study() {
     assert_voxels(&study);
     assert_eq!(study.acquisition.sop_instance_uids, ["1.2.3.4.2", "1.2.3.4.1"]);
     study.acquisition.sop_instance_uids = vec!["1.2.3.4".to_owned()];
+    assert_eq!(study.acquisition.sop_class_uids, ["1.2.840.10008.5.1.4.1.1.20"; 2]);
+    study.acquisition.sop_class_uids.truncate(1);
     assert!(study == self::study(&standard_file()));
 }
 
@@ -380,6 +384,7 @@ fn a_file_a_slice_makes_the_study() {
     let mut study = read_all(&files).unwrap().study;
     assert_voxels(&study);
     study.acquisition.sop_instance_uids = vec!["1.2.3.4".to_owned()];
+    study.acquisition.sop_class_uids.truncate(1);
     assert!(study == self::study(&standard_file()), "{study:?}");
 
     let missing = read_all(&files[1..]).unwrap_err();
@@ -396,4 +401,58 @@ fn files_that_nothing_tells_apart_are_refused() {
     assert!(error.to_string().contains("nothing tells the gates"), "{error}");
     let other = read_all(&[anonymous(1), some_frames(&order, 2, vec![text((0x28, 0x30), "DS", "4\\4")])]).unwrap_err();
     assert!(other.to_string().contains("file 2 has another Pixel Spacing (0028,0030)"), "{other}");
+}
+
+/// Reads files of one request, keeping whom they are of.
+fn read_with_subject(files: &[Vec<u8>]) -> Result<Received, IntakeError> {
+    let parts: Vec<Part<'_>> = files.iter().map(|bytes| Part { media_type: None, filename: None, bytes }).collect();
+    read(&parts, &Options { keep_subject: true, ..Options::default() }, &Limits::default())
+}
+
+fn bytes(attribute: Attribute, vr: &'static str, value: &[u8]) -> Element {
+    Element { tag: attribute.tag(), vr, value: Value::Bytes(value.to_vec()) }
+}
+
+#[test]
+fn whom_it_is_of_is_read_byte_for_byte_where_that_is_kept() {
+    // Latin-1, which is no UTF-8.
+    let (name, id) = (b"M\xfcller^J\xf6rg ".as_slice(), b"0815");
+    for syntax in [Syntax::Implicit, Syntax::Explicit, Syntax::Big, Syntax::Deflated] {
+        let mut elements = gated(&standard(), syntax);
+        elements.retain(|element| Attribute::ALL.iter().all(|attribute| attribute.tag() != element.tag));
+        elements.extend([
+            bytes(Attribute::SpecificCharacterSet, "CS", b"ISO_IR 100"),
+            bytes(Attribute::PatientName, "PN", name),
+            bytes(Attribute::PatientId, "LO", id),
+            bytes(Attribute::PatientBirthDate, "DA", b"tomorrow"),
+            // In a sequence: of somebody else.
+            items((0x10, 0x1002), vec![vec![bytes(Attribute::StudyId, "SH", b"other")]]),
+        ]);
+        let file = file(&elements, syntax);
+        assert_eq!(read_one(&file).unwrap().subject, None, "nothing is kept unless it is asked for");
+        let received = read_with_subject(&[file]).unwrap();
+        let subject = received.subject.unwrap();
+        assert_eq!(subject.get(Attribute::PatientName), Some(b"M\xfcller^J\xf6rg".as_slice()), "{syntax:?}");
+        assert_eq!(subject.get(Attribute::PatientId), Some(id.as_slice()));
+        assert_eq!((subject.get(Attribute::PatientBirthDate), subject.get(Attribute::StudyId)), (None, None));
+        assert_eq!(codes(&received.study), ["subject_attribute_left_out"]);
+        let message = &received.study.warnings[0].message;
+        assert!(message.contains("(0010,0030)") && !message.contains("tomorrow"), "{message}");
+    }
+}
+
+#[test]
+fn files_of_two_patients_make_no_study_that_could_be_filed() {
+    let gate = |gate: usize, id: &[u8]| -> Vec<u8> {
+        let order: Vec<_> = (0..SLICES).map(|slice| (gate, slice)).collect();
+        some_frames(&order, gate + 1, vec![bytes(Attribute::PatientId, "LO", id)])
+    };
+    let (same, other) = ([gate(0, b"A1"), gate(1, b"A1 ")], [gate(0, b"A1"), gate(1, b"B2")]);
+    assert!(read_with_subject(&same).is_ok());
+    let error = read_with_subject(&other).unwrap_err();
+    assert_eq!(error.code(), "mixed_parts");
+    assert!(error.to_string().contains("file 2 names another patient (Patient ID (0010,0020)"), "{error}");
+    assert!(!error.to_string().contains("B2"), "{error}");
+    // Where nobody is kept nobody is looked at.
+    assert!(read_all(&other).is_ok());
 }
