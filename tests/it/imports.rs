@@ -40,6 +40,7 @@ const EVERYTHING: &[&str] = &[
     "parameters",
     "jobs",
     "callbacks",
+    "assembly",
     "http",
     "config",
     "telemetry",
@@ -153,6 +154,11 @@ const RULES: &[Rule] = &[
             "utoipa",
             "utoipa_axum",
         ]),
+    },
+    Rule {
+        module: "assembly",
+        crate_modules: &["intake", "study", "pipeline", "jobs"],
+        external: External::AllBut(&["axum", "clap", "glam", "hyper", "multer", "ndarray", "rayon", "sqlx", "std::env", "tokio_rustls", "ureq", "utoipa"]),
     },
     Rule {
         module: "http",
