@@ -158,7 +158,20 @@ const RULES: &[Rule] = &[
     Rule {
         module: "assembly",
         crate_modules: &["intake", "study", "pipeline", "jobs"],
-        external: External::AllBut(&["axum", "clap", "glam", "hyper", "multer", "ndarray", "rayon", "sqlx", "std::env", "tokio_rustls", "ureq", "utoipa"]),
+        external: External::AllBut(&[
+            "axum",
+            "clap",
+            "glam",
+            "hyper",
+            "multer",
+            "ndarray",
+            "rayon",
+            "sqlx",
+            "std::env",
+            "tokio_rustls",
+            "ureq",
+            "utoipa",
+        ]),
     },
     Rule {
         module: "http",

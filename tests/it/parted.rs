@@ -78,7 +78,8 @@ pub(crate) fn slices(whole: &[u8]) -> Vec<Vec<u8>> {
 /// Some frames of the study as an instance of their own.
 fn cut(whole: &[u8], frames: std::ops::Range<usize>) -> Vec<u8> {
     let mut object = from_reader(whole).unwrap();
-    let uid = format!("{}.{}", object.element(tags::SOP_INSTANCE_UID).unwrap().to_str().unwrap().trim_end_matches('\0'), frames.start + 1);
+    let uid = object.element(tags::SOP_INSTANCE_UID).unwrap().to_str().unwrap().trim_end_matches('\0').to_owned();
+    let uid = format!("{uid}.{}.{}", frames.start + 1, frames.len());
     let pixels: Vec<u16> = object.element(tags::PIXEL_DATA).unwrap().to_multi_int().unwrap();
     let size = SHAPE[1] * SHAPE[2];
     let numbers = |number: &dyn Fn(usize) -> usize| PrimitiveValue::U16(frames.clone().map(|frame| number(frame) as u16).collect());
