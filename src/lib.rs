@@ -8,6 +8,7 @@
 //! | [`study`] | a gated study: counts on a grid, where it lies in the patient |
 //! | [`mesh`] | closed triangle meshes and what is measured on them |
 //! | [`phantom`] | analytic beating ventricles with exact volumes |
+//! | [`codecs`] | compressed frames → samples, in a child process |
 //! | [`intake`] | bytes → study: DICOM, NIfTI, JSON, with their limits |
 //! | [`pipeline`] | study → reconstruction, pure functions, one file a stage |
 //! | [`report`] | reconstruction → what people read |
@@ -23,6 +24,7 @@
 
 pub mod accuracy;
 pub mod callbacks;
+pub mod codecs;
 pub mod config;
 pub mod drawing;
 pub mod export;

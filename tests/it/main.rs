@@ -3,7 +3,10 @@
 
 mod accuracy;
 mod chaos;
+mod codecs;
 mod demo;
+mod encapsulated;
+mod fuzz;
 mod hostile;
 mod http;
 mod imports;

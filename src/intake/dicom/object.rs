@@ -59,7 +59,7 @@ impl<'a> Object<'a> {
         let study_uid = attributes.uid(tags::STUDY_INSTANCE_UID);
         let series_uid = attributes.uid(tags::SERIES_INSTANCE_UID);
         let instance_uid = attributes.uid(tags::SOP_INSTANCE_UID);
-        let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], warnings)?;
+        let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], limits, warnings)?;
         Ok(Self { attributes, kind, rows, columns, frames, pixels, study_uid, series_uid, instance_uid })
     }
 }
