@@ -41,14 +41,17 @@ pub fn check(codec: Codec, layout: Layout, frame: &[u8]) -> Result<(), HeaderErr
         Codec::Jpeg2000 => jpeg2000::declared(frame)?,
     };
     agree(declared, layout)?;
-    // Frames are padded to even lengths.
     if without_padding(frame).ends_with(&END) { Ok(()) } else { Err(damaged("it ends without the marker FF D9")) }
 }
 
-/// A frame without the zeros that pad it.
+/// A frame without what pads it: zeros, or after its end a single byte of any value, as dcmtk writes.
 pub(super) fn without_padding(frame: &[u8]) -> &[u8] {
-    let padding = frame.iter().rev().take_while(|byte| **byte == 0).count();
-    &frame[..frame.len() - padding]
+    let zeros = frame.iter().rev().take_while(|byte| **byte == 0).count();
+    let trimmed = &frame[..frame.len() - zeros];
+    match trimmed.split_last() {
+        Some((_, rest)) if rest.ends_with(&END) && !trimmed.ends_with(&END) => rest,
+        _ => trimmed,
+    }
 }
 
 fn agree(declared: Declared, layout: Layout) -> Result<(), HeaderError> {
@@ -95,8 +98,11 @@ mod tests {
     }
 
     #[test]
-    fn padding_is_zeros_only() {
-        assert_eq!(without_padding(&[0xFF, 0xD9, 0, 0]), [0xFF, 0xD9]);
+    fn padding_is_zeros_or_one_byte_after_the_end() {
+        for padded in [[0xFF, 0xD9, 0, 0].as_slice(), &[0xFF, 0xD9, 0x31], &[0xFF, 0xD9, 0xD9], &[0xFF, 0xD9]] {
+            assert_eq!(without_padding(padded), [0xFF, 0xD9], "{padded:?}");
+        }
+        assert_eq!(without_padding(&[0xFF, 0xD9, 1, 2]), [0xFF, 0xD9, 1, 2]);
         assert_eq!(without_padding(&[0, 0]), [0_u8; 0]);
         assert_eq!(without_padding(&[1, 0, 2]), [1, 0, 2]);
     }

@@ -47,7 +47,12 @@ pub(super) fn declared(codec: Codec, bytes: &[u8]) -> Result<Declared, HeaderErr
             coding_parameters(&header, declared)?;
         }
         (Codec::Jpeg | Codec::JpegLossless, 0xC9..=0xCF) => return Err(HeaderError::Unsupported("JPEG with arithmetic coding")),
-        _ => return Err(damaged(format!("its frame has the marker FF {marker:02X} and {} bits, which are of another encoding", declared.precision))),
+        _ => {
+            return Err(damaged(format!(
+                "its frame has the marker FF {marker:02X} and {} bits, which are of another encoding",
+                declared.precision
+            )));
+        }
     }
     Ok(declared)
 }
@@ -62,7 +67,9 @@ fn coding_parameters(header: &Header, declared: Declared) -> Result<(), HeaderEr
     let [maximum, thresholds @ .., reset] = header.presets.unwrap_or_default();
     let maximum = if maximum == 0 { largest } else { maximum };
     if interleave != 0 || transform != 0 {
-        return Err(damaged(format!("its scan has interleave mode {interleave} and point transform {transform}; one component has neither")));
+        return Err(damaged(format!(
+            "its scan has interleave mode {interleave} and point transform {transform}; one component has neither"
+        )));
     }
     if u16::from(near) > maximum / 2 {
         return Err(damaged(format!("its scan allows an error of {near} in values up to {maximum}")));

@@ -18,7 +18,8 @@ pub(super) fn declared(bytes: &[u8]) -> Result<Declared, HeaderError> {
         return Err(damaged("it does not begin with the markers FF 4F FF 51"));
     };
     let ends = || damaged("it ends within its header");
-    let u32_at = |at: usize| segment.get(at..at + 4).and_then(|bytes| bytes.first_chunk::<4>()).map(|bytes| u64::from(u32::from_be_bytes(*bytes)));
+    let u32_at =
+        |at: usize| segment.get(at..at + 4).and_then(|bytes| bytes.first_chunk::<4>()).map(|bytes| u64::from(u32::from_be_bytes(*bytes)));
     let u16_at = |at: usize| segment.get(at..at + 2).map(|bytes| u16::from_be_bytes([bytes[0], bytes[1]]));
     let [width, height, left, top, tile_width, tile_height, tile_left, tile_top] = {
         let mut values = [0; 8];

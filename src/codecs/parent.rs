@@ -120,7 +120,8 @@ impl Process {
         let child = Arc::new(Mutex::new(child));
         let over_time = Arc::new(AtomicBool::new(false));
         let (done, waits) = mpsc::channel::<()>();
-        let mut process = Self { child: Arc::clone(&child), input, output, over_time: Arc::clone(&over_time), done: Some(done), watch: None };
+        let mut process =
+            Self { child: Arc::clone(&child), input, output, over_time: Arc::clone(&over_time), done: Some(done), watch: None };
         let watch = move || {
             if waits.recv_timeout(Duration::from_secs(2 * seconds)) == Err(RecvTimeoutError::Timeout) {
                 over_time.store(true, Ordering::Relaxed);

@@ -28,11 +28,13 @@ pub(crate) fn phantom_file(gates: usize) -> Vec<u8> {
     phantom::dicom::write(&phantom::simulate(&phantom).unwrap().study).unwrap()
 }
 
-/// The same file with other samples in 8 or 16 bits.
+/// What is added to signed samples (Rescale Intercept), so that counts are positive.
+const INTERCEPT: i32 = 9000;
+
+/// The same file with other samples in so many bits. Signed ones are made positive counts by a Rescale Intercept.
 pub(crate) fn with_samples(native: &[u8], bits: u16, signed: bool, sample: impl Fn(u16) -> u16) -> Vec<u8> {
     let mut object = dicom_object::from_reader(Cursor::new(native)).unwrap();
-    let samples: Vec<u16> =
-        object.element(tags::PIXEL_DATA).unwrap().to_multi_int::<u16>().unwrap().into_iter().map(sample).collect();
+    let samples: Vec<u16> = object.element(tags::PIXEL_DATA).unwrap().to_multi_int::<u16>().unwrap().into_iter().map(sample).collect();
     for (tag, value) in [
         (tags::BITS_ALLOCATED, if bits > 8 { 16 } else { 8 }),
         (tags::BITS_STORED, bits),
@@ -40,6 +42,10 @@ pub(crate) fn with_samples(native: &[u8], bits: u16, signed: bool, sample: impl 
         (tags::PIXEL_REPRESENTATION, u16::from(signed)),
     ] {
         object.put(DataElement::new(tag, VR::US, PrimitiveValue::from(value)));
+    }
+    if signed {
+        object.put(DataElement::new(tags::RESCALE_INTERCEPT, VR::DS, PrimitiveValue::from(INTERCEPT.to_string())));
+        object.put(DataElement::new(tags::RESCALE_SLOPE, VR::DS, PrimitiveValue::from("1")));
     }
     let pixels = if bits > 8 {
         DataElement::new(tags::PIXEL_DATA, VR::OW, PrimitiveValue::U16(samples.into()))

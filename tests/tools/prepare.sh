@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, strace for what is written to
-# disk, Node with the Khronos validator for glTF, PostgreSQL for what is stored there. What cannot be installed is said; its tests then
-# skip, or fail when CI is set.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) for DICOM, dcmtk and gdcmconv
+# (libgdcm-tools) for its transfer syntaxes, strace for what is written to disk, Node with the Khronos validator for glTF, PostgreSQL for
+# what is stored there. What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -13,6 +13,8 @@ as_root() {
 
 missing=()
 command -v dciodvfy >/dev/null || missing+=(dicom3tools)
+command -v dcmcjpls >/dev/null || missing+=(dcmtk)
+command -v gdcmconv >/dev/null || missing+=(libgdcm-tools)
 command -v strace >/dev/null || missing+=(strace)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)

@@ -100,7 +100,9 @@ impl<'a> Pixels<'a> {
                 });
             }
             (prescan::Pixels::Encapsulated { .. }, Encoding::Native) => {
-                return Err(unsupported("an uncompressed transfer syntax with encapsulated fragments (the declared transfer syntax is wrong)"));
+                return Err(unsupported(
+                    "an uncompressed transfer syntax with encapsulated fragments (the declared transfer syntax is wrong)",
+                ));
             }
             (prescan::Pixels::Encapsulated { fragments }, Encoding::Rle) => Storage::Rle(one_a_frame(&fragments, frames, name)?),
             (prescan::Pixels::Encapsulated { fragments }, Encoding::Fragments) => {
