@@ -23,8 +23,8 @@ const VOXELS_A_SECOND: usize = 2 << 20;
 /// Why a frame was not decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// No child could be started: nothing is said about the frame.
-    #[error("the decoder of compressed images could not be started ({0})")]
+    /// No child could be started, or it was ended from outside: nothing is said about the frame.
+    #[error("the decoder of compressed images did not run ({0})")]
     Unavailable(String),
     /// The decoder refused the frame.
     #[error("{0}")]
@@ -79,7 +79,13 @@ impl Session {
                 self.process = Some(process);
                 answer.map_err(DecodeError::Frame)
             }
-            Err(error) => Err(DecodeError::Ended(process.end().reason(&error, self.seconds))),
+            Err(error) => {
+                let end = process.end();
+                let reason = end.reason(&error, self.seconds);
+                // One that answers wrongly is ended here, by a signal as well.
+                let lied = error.kind() == io::ErrorKind::InvalidData;
+                Err(if !lied && end.was_from_outside() { DecodeError::Unavailable(reason) } else { DecodeError::Ended(reason) })
+            }
         }
     }
 }
@@ -177,6 +183,11 @@ impl End {
         }
     }
 
+    /// Whether somebody ended the child who does not know the frame: whoever stops the service, or the system out of memory.
+    fn was_from_outside(&self) -> bool {
+        !self.over_time && self.signal().is_some_and(|signal| OUTSIDE_SIGNALS.contains(&signal))
+    }
+
     #[cfg(unix)]
     fn signal(&self) -> Option<i32> {
         use std::os::unix::process::ExitStatusExt as _;
@@ -191,6 +202,8 @@ impl End {
 
 /// The signal at the limit of processor time: 24 on Linux and the BSDs.
 const SIGXCPU: i32 = 24;
+/// SIGHUP, SIGINT, SIGKILL, SIGTERM: what a child that fails by itself does not get.
+const OUTSIDE_SIGNALS: [i32; 4] = [1, 2, 9, 15];
 
 #[cfg(test)]
 #[cfg(unix)]
@@ -216,6 +229,14 @@ mod tests {
         assert!(matches!(&lies, DecodeError::Ended(reason) if reason.contains("number of samples")), "{lies}");
         let refused = outcome("head -c 111 >/dev/null; printf '\\001\\003\\000\\000\\000bad'; sleep 60");
         assert!(matches!(&refused, DecodeError::Frame(reason) if reason == "bad"), "{refused}");
+    }
+
+    #[test]
+    fn a_child_that_is_stopped_says_nothing_about_the_frame() {
+        for signal in ["TERM", "KILL", "INT"] {
+            let stopped = outcome(&format!("kill -{signal} $$; sleep 60"));
+            assert!(matches!(&stopped, DecodeError::Unavailable(reason) if reason.contains("signal")), "{signal}: {stopped}");
+        }
     }
 
     #[test]
