@@ -3,7 +3,7 @@
 
 use crate::{
     encapsulated::{converted, fragments, limits, native_samples, phantom_file, read, with_fragments, with_samples},
-    served::Directory,
+    served::{Directory, Served},
 };
 use std::time::{Duration, Instant};
 use ventricle::{
@@ -184,6 +184,24 @@ fn what_is_not_decoded_is_refused_by_name() {
         assert_eq!(error.code(), "unsupported_transfer_syntax", "{error}");
         assert!(error.to_string().contains(uid), "{error}");
     }
+}
+
+#[test]
+fn the_service_decodes_what_is_posted_to_it() {
+    let directory = Directory::new("posted");
+    let native = phantom_file(1);
+    let Some(file) = converted(&directory.0, DCMTK, &["dcmcjpls", "+el"], &native) else { return };
+    let service = Served::start(&directory.0.join("data"), &[]);
+    let accepted = service.post("application/dicom", &file);
+    assert_eq!(accepted.status, 202, "{}", String::from_utf8_lossy(&accepted.body));
+    let job = service.finished(accepted.json()["id"].as_str().unwrap(), Duration::from_mins(2));
+    assert_eq!(job["state"], "succeeded", "{job}");
+    let mut broken = fragments(&file);
+    broken[7].truncate(400);
+    broken[7].extend([0xFF, 0xD9]);
+    let refused = service.post("application/dicom", &with_fragments(&file, None, &broken));
+    assert_eq!((refused.status, refused.json()["code"].as_str()), (400, Some("damaged_pixel_data")));
+    assert!(refused.json()["detail"].as_str().unwrap().contains("Frame 7 of the compressed pixel data"), "{}", refused.json());
 }
 
 /// Places a broken file is broken at, spread over all bytes from the compressed data's beginning, the same in every run.
