@@ -194,6 +194,8 @@ fn bombs() -> Vec<(&'static str, &'static str, Vec<u8>)> {
     let json = br#"{"grid":{"gates":8,"shape":[4000000000,4000000000,4000000000],"spacing_mm":[1,1,1]},"counts":"","dtype":"uint16"}"#;
     vec![
         ("a DICOM element that claims 4 GiB", "application/dicom", claims_4_gib),
+        // Found by the fuzzer: it made the library take 1.2 GB.
+        ("a value that is no whole number of its units", "application/dicom", include_bytes!("../../fuzz/corpus/dicom/misfit").to_vec()),
         ("sequences nested 5000 deep", "application/dicom", nested),
         ("a deflate bomb", "application/dicom", deflated),
         ("a gzip bomb", "application/gzip", gzipped),
