@@ -4,7 +4,8 @@ use super::{AppState, listener, router, views};
 use crate::{
     assembly,
     callbacks::{self, AllowError, Allowed, Deliveries, DeliverySettings, RootsError, Rules, Sender, Signer, TargetError},
-    config::{ConfigError, ServeSettings},
+    codecs::Decoder,
+    config::{self, ConfigError, ServeSettings},
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
 };
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
@@ -175,7 +176,7 @@ fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
 
 fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> AppState {
     let workers = Arc::clone(workers);
-    let state = AppState::new(store.clone())
+    let mut state = AppState::new(store.clone())
         .with_body_limit(settings.max_body_bytes() as usize)
         .with_studies(settings.max_study_mb << 20, Duration::from_secs(settings.quiet_seconds))
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
@@ -183,6 +184,10 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
         .with_patients_kept(settings.keep_patient)
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
+    match config::own_program() {
+        Ok(program) => state = state.with_decoder(Decoder { program }),
+        Err(error) => tracing::warn!(%error, "this program does not find itself: compressed images are refused"),
+    }
     if settings.database_url.is_some() {
         return state;
     }
