@@ -16,7 +16,7 @@ fn limits() -> Limits {
 
 fn read(media_type: &str, bytes: &[u8]) {
     let part = Part { media_type: Some(media_type), filename: None, bytes };
-    let _ = intake::read(&[part], &Options { spacing_mm: Some([5.0, 3.0, 3.0]) }, &limits());
+    let _ = intake::read(&[part], &Options { spacing_mm: Some([5.0, 3.0, 3.0]), ..Options::default() }, &limits());
 }
 
 /// The walk over a DICOM file's structure.
