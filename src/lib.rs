@@ -19,7 +19,8 @@
 //! | [`accuracy`] | how far both presets are from the truth |
 //! | [`parameters`] | parameters as a client writes them |
 //! | [`jobs`] | what is stored, queued and worked on |
-//! | [`callbacks`] | who is told when a job ends |
+//! | [`callbacks`] | who is told when a job ends, and where its result is sent |
+//! | [`dimse`] | DICOM's own network protocol: images received, results sent |
 //! | [`http`] | the service |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
@@ -28,6 +29,7 @@ pub mod archive;
 pub mod assembly;
 pub mod callbacks;
 pub mod config;
+pub mod dimse;
 pub mod drawing;
 mod elements;
 pub mod export;

@@ -7,6 +7,7 @@ mod chaos;
 mod cluster;
 mod demo;
 mod dicomweb;
+mod dimse;
 mod hostile;
 mod http;
 mod imports;

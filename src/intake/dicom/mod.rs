@@ -15,8 +15,10 @@ mod series;
 mod subject;
 mod timing;
 
+pub use identity::STORAGE_CLASSES;
 pub use instance::{Instance, Refused, examine};
 pub use parts::Holds;
+pub use pixels::transfer_syntaxes;
 
 use super::{IntakeError, Limits, Part, counts};
 use crate::study::{Acquisition, Format, Study, Warning};

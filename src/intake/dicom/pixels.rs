@@ -42,6 +42,11 @@ const RLE: &str = "1.2.840.10008.1.2.5";
 /// PS3.5 G.5: a segment count and 15 offsets of 32 bits.
 const RLE_HEADER_BYTES: usize = 64;
 
+/// The transfer syntaxes in which objects are read.
+pub fn transfer_syntaxes() -> impl Iterator<Item = &'static str> {
+    NATIVE.into_iter().chain([RLE])
+}
+
 /// Where the samples are.
 #[derive(Debug)]
 enum Storage {

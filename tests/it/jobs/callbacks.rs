@@ -30,7 +30,7 @@ use uuid::Uuid;
 use ventricle::{
     callbacks::{Allowed, Deliveries, DeliverySettings, Schedule, Sender, Signer, start},
     http::callback_body,
-    jobs::{Delivery, JobError, NewJob, Outcome, Settled, Snapshot, Store},
+    jobs::{Delivery, DeliveryKind, JobError, NewJob, Outcome, Settled, Snapshot, Store},
 };
 
 on_both_engines! {
@@ -177,7 +177,7 @@ fn settings(allowed: &[&str], trusted: &Identity) -> DeliverySettings {
     let sender = Sender::new(allowed, &trusted.file).unwrap();
     let quick = Duration::from_millis(20);
     let schedule = Schedule { attempts: 3, first: quick, factor: 1.0, longest: quick };
-    let usual = DeliverySettings::new(sender, Signer::new(SECRET).unwrap(), Arc::new(callback_body));
+    let usual = DeliverySettings::new(sender, Some((Signer::new(SECRET).unwrap(), Arc::new(callback_body))), None);
     DeliverySettings { schedule, poll: quick, ..usual }
 }
 
@@ -227,7 +227,7 @@ async fn a_callback_comes_once_and_signed_without_what_belongs_to_the_patient(pl
     let told = delivery(&store, job, |delivery| delivery.state == "delivered").await;
     assert_eq!((told.attempts, told.last_error), (1, None));
     courier.stop(Duration::from_secs(5)).await;
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None);
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None);
     let [seen] = receiver.seen().try_into().unwrap();
     assert!(seen.head.starts_with("POST /done?token=hidden HTTP/1.1"), "{}", seen.head);
     assert!(seen.head.contains("\r\nVentricle-Signature: t="), "as documented, for receivers that compare letters: {}", seen.head);
@@ -357,9 +357,9 @@ async fn a_node_that_stops_gives_back_what_it_has_under_way(place: &Place) {
     let job = ended(&store, receiver.url()).await;
     let courier = start(store.clone(), DeliverySettings { lease: Duration::from_hours(1), ..loopback() });
     until(|| receiver.seen().len() == 1).await;
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None, "it is held");
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None, "it is held");
     courier.stop(Duration::from_millis(20)).await;
-    let claim = store.claim_delivery(Duration::from_secs(1)).await.unwrap().unwrap();
+    let claim = store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap().unwrap();
     assert_eq!((claim.job, claim.attempt), (job, 2));
     assert!(!format!("{claim:?}").contains("hidden"));
 }
@@ -367,9 +367,9 @@ async fn a_node_that_stops_gives_back_what_it_has_under_way(place: &Place) {
 async fn an_attempt_whose_lease_is_over_changes_nothing(place: &Place) {
     let store = place.open().await;
     let job = ended(&store, "https://receiver.example/".to_owned()).await;
-    let first = store.claim_delivery(Duration::from_millis(1)).await.unwrap().unwrap();
+    let first = store.claim_delivery(&DeliveryKind::ALL, Duration::from_millis(1)).await.unwrap().unwrap();
     let second = loop {
-        if let Some(claim) = store.claim_delivery(Duration::from_mins(1)).await.unwrap() {
+        if let Some(claim) = store.claim_delivery(&DeliveryKind::ALL, Duration::from_mins(1)).await.unwrap() {
             break claim;
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
@@ -380,7 +380,7 @@ async fn an_attempt_whose_lease_is_over_changes_nothing(place: &Place) {
     assert_eq!(store.deliveries(job).await.unwrap()[0].state, "pending");
     let again = Settled::Again { after: Duration::from_hours(1), why: "status 500".to_owned() };
     assert!(store.settle_delivery(&second, &again).await.unwrap());
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None, "not due");
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None, "not due");
     assert!(store.settle_delivery(&second, &Settled::Delivered).await.unwrap());
     assert!(!store.settle_delivery(&second, &Settled::Delivered).await.unwrap(), "once is enough");
     store.delete(job).await.unwrap();
@@ -398,7 +398,7 @@ async fn nodes_that_race_never_claim_the_same_delivery(place: &Place) {
             let mut claimed = Vec::new();
             // None may also mean that another holds the one row that was looked at.
             for _ in 0..40 {
-                claimed.extend(store.claim_delivery(Duration::from_mins(1)).await.unwrap().map(|claim| claim.id));
+                claimed.extend(store.claim_delivery(&DeliveryKind::ALL, Duration::from_mins(1)).await.unwrap().map(|claim| claim.id));
             }
             claimed
         })
