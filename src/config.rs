@@ -309,7 +309,7 @@ impl ServeSettings {
             return Err(ConfigError::Exposed { listen: self.listen });
         }
         if let Some(listen) = self.dimse_listen.filter(|listen| !listen.ip().is_loopback())
-            && !(self.behind_authenticating_proxy && !self.dimse_calling_ae.is_empty())
+            && (!self.behind_authenticating_proxy || self.dimse_calling_ae.is_empty())
         {
             return Err(ConfigError::DimseExposed { listen });
         }

@@ -106,9 +106,9 @@ async fn receive(state: &AppState, study_uid: Option<String>, headers: &HeaderMa
 
 /// What the headers of a request decide before its body is read.
 fn admit(state: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
-    negotiate::acceptable(headers, DICOM_JSON)
-        .or_else(|_| negotiate::acceptable(headers, "application/json"))
-        .map_err(|_| Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON }))?;
+    negotiate::acceptable(headers, DICOM_JSON).or_else(|_| negotiate::acceptable(headers, "application/json")).map_err(|_| {
+        Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON })
+    })?;
     state.accepts_work()?;
     body::plain(headers)?;
     body::announced(headers, state.study_bytes)?;
@@ -137,9 +137,7 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Body, mut reception: 
         }
         let before = seen.fetch_add(chunk.len() as u64, Ordering::Relaxed);
         if before > MOST_HEADER_BYTES {
-            return Err(BodyError::Multipart {
-                why: format!("more than {MOST_HEADER_BYTES} bytes that belong to no part, or to its headers"),
-            });
+            return Err(BodyError::Multipart { why: format!("more than {MOST_HEADER_BYTES} bytes that belong to no part, or to its headers") });
         }
         Ok(chunk)
     });
@@ -184,9 +182,7 @@ fn answer(received: Received) -> Result<Response, Problem> {
         return Err(Problem::new(StatusCode::BAD_REQUEST, "empty_body", "The request holds no DICOM files."));
     }
     let stored = outcomes.iter().filter(|outcome| outcome.result.is_ok()).count();
-    if stored == 0
-        && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.queue_full())
-    {
+    if stored == 0 && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.queue_full()) {
         return Err(full.into());
     }
     let status = match stored {

@@ -1,7 +1,10 @@
 //! Peers that say nothing, too much, or nonsense: each is ended, in bounded memory, and nobody else notices.
 
-use super::{CALLER, dcmtk, has_dcmtk, service, simulated, write};
-use crate::served::{Directory, Served};
+use super::{CALLER, dcmtk, has_dcmtk, service, write};
+use crate::{
+    parted,
+    served::{Directory, Served},
+};
 use dicom_ul::pdu::{
     AssociationRJResult, AssociationRQ, PDataValue, PDataValueType, Pdu, PresentationContextProposed, UserVariableItem, read_pdu, write_pdu,
 };
@@ -10,7 +13,6 @@ use std::{
     net::TcpStream,
     time::{Duration, Instant},
 };
-use ventricle::phantom;
 
 const NM: &str = "1.2.840.10008.5.1.4.1.1.20";
 const VERIFICATION: &str = "1.2.840.10008.1.1";
@@ -134,7 +136,7 @@ fn silent_peers_hold_nobody_up_and_are_ended() {
     associated[1].0.write_all(&[4, 0, 0, 0, 1, 0, 0]).unwrap();
     is_answered(&service, "silent peers");
     let files = Directory::new("dimse-silent-files");
-    let study = write(&files.0, "study.dcm", &phantom::dicom::write(&simulated(1)).unwrap());
+    let study = write(&files.0, "study.dcm", &parted::ungated(1));
     let (content, said) = dcmtk("storescu", &service, &[], &[study]);
     assert!(content, "{said}");
     // One too many is told to come again.
@@ -142,10 +144,14 @@ fn silent_peers_hold_nobody_up_and_are_ended() {
     let rejected = Peer::connect(&service).ask();
     assert!(matches!(&rejected, Some(Pdu::AssociationRJ(rejection)) if rejection.result == AssociationRJResult::Transient), "{rejected:?}");
     drop(last);
-    silent.iter_mut().for_each(|peer| peer.is_ended("no request"));
+    for peer in &mut silent {
+        peer.is_ended("no request");
+    }
     assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
-    associated.iter_mut().for_each(|peer| peer.is_ended("an idle association"));
-    assert!(start.elapsed() < Duration::from_secs(60), "{:?}", start.elapsed());
+    for peer in &mut associated {
+        peer.is_ended("an idle association");
+    }
+    assert!(start.elapsed() < Duration::from_mins(1), "{:?}", start.elapsed());
     assert!(service.is_alive());
 }
 
@@ -268,7 +274,7 @@ fn objects_and_command_sets_without_end_are_ended_in_bounded_memory() {
     assert_eq!(status(peer.receive()), 0);
     let growth = service.peak_mib() - before;
     assert!(growth < MOST_GROWTH_MIB, "{growth:.0} MiB");
-    assert!(start.elapsed() < Duration::from_secs(60), "{:?}", start.elapsed());
+    assert!(start.elapsed() < Duration::from_mins(1), "{:?}", start.elapsed());
     assert!(service.is_alive());
 }
 
@@ -278,7 +284,7 @@ fn a_stop_ends_associations_and_lets_an_object_under_way_arrive() {
         return;
     }
     let data = Directory::new("dimse-stop");
-    let file = phantom::dicom::write(&simulated(1)).unwrap();
+    let file = parted::ungated(1);
     let object = dicom_object::from_reader(file.as_slice()).unwrap();
     let uid = object.meta().media_storage_sop_instance_uid.trim_end_matches('\0').to_owned();
     let mut data_set = Vec::new();

@@ -50,20 +50,20 @@ const STUDY_UID: &str = "1.2.826.0.1.3680043.99";
 
 /// A request as a receiver got it.
 #[derive(Debug, Clone)]
-struct Seen {
-    head: String,
-    body: Vec<u8>,
+pub(super) struct Seen {
+    pub(super) head: String,
+    pub(super) body: Vec<u8>,
 }
 
 impl Seen {
-    fn header(&self, name: &str) -> &str {
+    pub(super) fn header(&self, name: &str) -> &str {
         let lines = self.head.lines().skip(1).filter_map(|line| line.split_once(": "));
         lines.filter(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value).next().unwrap_or_else(|| panic!("{}", self.head))
     }
 }
 
-/// A receiver that answers what it is told to, the last answer again and again; `None` is no answer at all.
-struct Receiver {
+/// A receiver that answers what it is told to (status and headers, and a body after an empty line), the last answer again and again; `None` is no answer at all.
+pub(super) struct Receiver {
     address: SocketAddr,
     seen: Arc<Mutex<Vec<Seen>>>,
     connections: Arc<AtomicUsize>,
@@ -77,7 +77,7 @@ impl Drop for Receiver {
 }
 
 impl Receiver {
-    async fn new(answers: &[Option<&str>]) -> Self {
+    pub(super) async fn new(answers: &[Option<&str>]) -> Self {
         Self::with(answers, None).await
     }
 
@@ -106,11 +106,11 @@ impl Receiver {
         Self { address, seen, connections, task }
     }
 
-    fn url(&self) -> String {
+    pub(super) fn url(&self) -> String {
         format!("http://{}/done?token=hidden", self.address)
     }
 
-    fn seen(&self) -> Vec<Seen> {
+    pub(super) fn seen(&self) -> Vec<Seen> {
         self.seen.lock().unwrap().clone()
     }
 }
@@ -138,19 +138,20 @@ async fn serve(mut stream: impl AsyncRead + AsyncWrite + Unpin, all: &Mutex<Vec<
         answers.get(all.len() - 1).or(answers.last()).unwrap().clone()
     };
     let Some(answer) = answer else { return std::future::pending().await };
-    let text = format!("HTTP/1.1 {answer}\r\nContent-Length: 2\r\nConnection: close\r\n\r\nok");
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, "ok"));
+    let text = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{body}", body.len());
     let _ = stream.write_all(text.as_bytes()).await;
     let _ = stream.shutdown().await;
 }
 
 /// A certificate for `localhost`, the file that makes it trusted, and a server that has it.
-struct Identity {
+pub(super) struct Identity {
     file: PathBuf,
     tls: TlsAcceptor,
 }
 
 impl Identity {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
         let file = std::env::temp_dir().join(format!("ventricle-roots-{}.pem", Uuid::now_v7()));
         std::fs::write(&file, made.cert.pem()).unwrap();
@@ -172,7 +173,7 @@ impl Drop for Identity {
 }
 
 /// Settings that lose no time, with these places allowed.
-fn settings(allowed: &[&str], trusted: &Identity) -> DeliverySettings {
+pub(super) fn settings(allowed: &[&str], trusted: &Identity) -> DeliverySettings {
     let allowed = Arc::new(Allowed::parse(allowed.iter().copied()).unwrap());
     let sender = Sender::new(allowed, &trusted.file).unwrap();
     let quick = Duration::from_millis(20);
@@ -199,7 +200,7 @@ async fn ended(store: &Store, url: String) -> Uuid {
 }
 
 /// The one delivery of a job once it is as wanted.
-async fn delivery(store: &Store, job: Uuid, wanted: impl Fn(&Delivery) -> bool) -> Delivery {
+pub(super) async fn delivery(store: &Store, job: Uuid, wanted: impl Fn(&Delivery) -> bool) -> Delivery {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
         let [delivery] = store.deliveries(job).await.unwrap().try_into().unwrap();
