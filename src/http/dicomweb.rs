@@ -8,6 +8,7 @@ use super::{
     AppState, body,
     body::BodyError,
     extract::StudyUid,
+    layers::Told,
     negotiate,
     problem::Problem,
     views::{Binary, StoreInstancesResponse},
@@ -17,21 +18,29 @@ use crate::{
     jobs::ANONYMOUS,
 };
 use axum::{
-    body::{Body, Bytes},
+    Extension,
+    body::{Body, BodyDataStream, Bytes},
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use futures_util::StreamExt;
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering},
+use futures_util::{Stream, StreamExt, stream};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU32, AtomicU64, Ordering},
+    },
+    task::Poll,
 };
 
 /// Media type of DICOM as JSON (PS3.18 annex F).
 const DICOM_JSON: &str = "application/dicom+json";
-/// Most bytes of a multipart body between one part's content and the next: their headers.
-const MOST_HEADER_BYTES: u64 = 64 << 10;
+/// Bytes of a multipart body that its parser may hold: headers, and content it has not given back yet.
+const MOST_HELD_BYTES: u64 = 1 << 20;
+/// How often the parser may ask for more while it holds that much: once to look at what it has.
+const MOST_STALLS: u32 = 4;
+/// Bytes of a part that are neither headers nor content: boundary, hyphens and line ends.
+const MOST_SEPARATION: usize = 256 + 16;
 /// Most jobs that the answer links to.
 const MOST_LINKS: usize = 16;
 
@@ -106,9 +115,9 @@ async fn receive(state: &AppState, study_uid: Option<String>, headers: &HeaderMa
 
 /// What the headers of a request decide before its body is read.
 fn admit(state: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
-    negotiate::acceptable(headers, DICOM_JSON).or_else(|_| negotiate::acceptable(headers, "application/json")).map_err(|_| {
-        Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON })
-    })?;
+    negotiate::acceptable(headers, DICOM_JSON)
+        .or_else(|_| negotiate::acceptable(headers, "application/json"))
+        .map_err(|_| Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON }))?;
     state.accepts_work()?;
     body::plain(headers)?;
     body::announced(headers, state.study_bytes)?;
@@ -126,32 +135,18 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Body, mut reception: 
         return Ok(reception);
     };
     let boundary = body::boundary(boundary).ok_or(BodyError::NoBoundary)?;
-    // Bytes given to the parser since it last gave something back: of headers it would keep any number.
-    let pending = Arc::new(AtomicU64::new(0));
-    let (seen, mut total, study_bytes) = (Arc::clone(&pending), 0, state.study_bytes);
-    let chunks = body.into_data_stream().map(move |chunk| {
-        let chunk = chunk.map_err(|_| BodyError::Interrupted)?;
-        total += chunk.len() as u64;
-        if total > study_bytes {
-            return Err(BodyError::TooLarge { limit: study_bytes });
-        }
-        let before = seen.fetch_add(chunk.len() as u64, Ordering::Relaxed);
-        if before > MOST_HEADER_BYTES {
-            return Err(BodyError::Multipart { why: format!("more than {MOST_HEADER_BYTES} bytes that belong to no part, or to its headers") });
-        }
-        Ok(chunk)
-    });
-    let mut multipart = multer::Multipart::new(chunks, boundary);
+    let flow = Arc::new(Flow::default());
+    let mut multipart = multer::Multipart::new(metered(body.into_data_stream(), Arc::clone(&flow), state.study_bytes), boundary);
     let mut parts = 0;
     while let Some(mut field) = multipart.next_field().await.map_err(malformed)? {
-        pending.store(0, Ordering::Relaxed);
+        flow.used(field.headers().iter().map(|(name, value)| name.as_str().len() + value.len() + 4).sum::<usize>() + MOST_SEPARATION);
         parts += 1;
         if parts > state.limits.parts {
             return Err(BodyError::TooManyParts { limit: state.limits.parts });
         }
         let mut bytes = Vec::new();
         while let Some(chunk) = field.chunk().await.map_err(malformed)? {
-            pending.store(0, Ordering::Relaxed);
+            flow.used(chunk.len());
             // One object too large refuses the request, as what is left of it could not be told from the next.
             if (bytes.len() + chunk.len()) as u64 > limit {
                 return Err(BodyError::TooLarge { limit });
@@ -159,9 +154,48 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Body, mut reception: 
             bytes.extend_from_slice(&chunk);
         }
         reception.take(Bytes::from(bytes)).await;
-        pending.store(0, Ordering::Relaxed);
     }
     Ok(reception)
+}
+
+/// What the multipart parser was given and has given back. It takes all that is there to be taken before it looks at it, so what it is given
+/// is held back.
+#[derive(Debug, Default)]
+struct Flow {
+    held: AtomicU64,
+    stalls: AtomicU32,
+}
+
+impl Flow {
+    /// So many bytes came out of the parser.
+    fn used(&self, bytes: usize) {
+        let left = self.held.load(Ordering::Relaxed).saturating_sub(bytes as u64);
+        self.held.store(left, Ordering::Relaxed);
+        self.stalls.store(0, Ordering::Relaxed);
+    }
+}
+
+/// The chunks of a body, of at most so many bytes in all, no faster than the parser gives them back.
+fn metered(mut chunks: BodyDataStream, flow: Arc<Flow>, limit: u64) -> impl Stream<Item = Result<Bytes, BodyError>> + Send {
+    let mut total = 0;
+    stream::poll_fn(move |context| {
+        if flow.held.load(Ordering::Relaxed) > MOST_HELD_BYTES {
+            if flow.stalls.fetch_add(1, Ordering::Relaxed) < MOST_STALLS {
+                context.waker().wake_by_ref();
+                return Poll::Pending;
+            }
+            let why = format!("more than {MOST_HELD_BYTES} bytes that belong to no part, or to the headers of one");
+            return Poll::Ready(Some(Err(BodyError::Multipart { why })));
+        }
+        chunks.poll_next_unpin(context).map(|next| {
+            next.map(|chunk| {
+                let chunk = chunk.map_err(|_| BodyError::Interrupted)?;
+                total += chunk.len() as u64;
+                flow.held.fetch_add(chunk.len() as u64, Ordering::Relaxed);
+                if total > limit { Err(BodyError::TooLarge { limit }) } else { Ok(chunk) }
+            })
+        })
+    })
 }
 
 /// The error of the body's stream, or of its grammar.
@@ -182,7 +216,9 @@ fn answer(received: Received) -> Result<Response, Problem> {
         return Err(Problem::new(StatusCode::BAD_REQUEST, "empty_body", "The request holds no DICOM files."));
     }
     let stored = outcomes.iter().filter(|outcome| outcome.result.is_ok()).count();
-    if stored == 0 && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.queue_full()) {
+    if stored == 0
+        && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.queue_full())
+    {
         return Err(full.into());
     }
     let status = match stored {
@@ -202,5 +238,5 @@ fn answer(received: Received) -> Result<Response, Problem> {
         head.extend(HeaderValue::from_str(&link).ok().map(|link| (header::LINK, link)));
     }
     let body = serde_json::to_vec(&StoreInstancesResponse::new(&outcomes)).unwrap_or_default();
-    Ok((status, head, body).into_response())
+    Ok((status, head, Extension(Told), body).into_response())
 }

@@ -49,10 +49,16 @@ fn request_id(headers: &HeaderMap) -> String {
     sent.map_or_else(|| Uuid::now_v7().to_string(), str::to_owned)
 }
 
+/// Marks an answer that says itself what went wrong, in a form of its own.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Told;
+
 /// Makes every error a problem document with the request's path and id; what the router or a layer refused by status alone gets one too.
 fn finish(mut response: Response, method: &Method, path: String, id: &str) -> Response {
     let status = response.status();
-    if !status.is_client_error() && !status.is_server_error() {
+    // A refusal in the words of another standard is one already.
+    let told = response.extensions_mut().remove::<Told>().is_some();
+    if told || (!status.is_client_error() && !status.is_server_error()) {
         return response;
     }
     let problem = response.extensions_mut().remove::<Problem>().unwrap_or_else(|| Problem::of_status(status));

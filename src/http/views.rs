@@ -366,9 +366,11 @@ impl StoreInstancesResponse {
     pub(super) fn new(outcomes: &[Outcome]) -> Self {
         let sequence = || Attribute { vr: "SQ", values: Vec::new() };
         let uid = |uid: &Option<String>| Attribute { vr: "UI", values: uid.iter().cloned().collect() };
-        let mut response = Self { retrieve_url: Attribute { vr: "UR", values: vec![] }, stored: sequence(), failed: sequence(), unnamed: sequence() };
+        let mut response =
+            Self { retrieve_url: Attribute { vr: "UR", values: vec![] }, stored: sequence(), failed: sequence(), unnamed: sequence() };
         for outcome in outcomes {
-            let named = InstanceAnswer { class: uid(&outcome.class_uid), instance: uid(&outcome.instance_uid), ..InstanceAnswer::default() };
+            let named =
+                InstanceAnswer { class: uid(&outcome.class_uid), instance: uid(&outcome.instance_uid), ..InstanceAnswer::default() };
             let Err(refusal) = &outcome.result else {
                 response.stored.values.push(named);
                 continue;

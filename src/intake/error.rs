@@ -275,7 +275,9 @@ impl IntakeError {
             | Self::DamagedPixelData { .. }
             | Self::PixelDataLength { .. }
             | Self::UnreadableDataSet { .. } => Nature::Malformed,
-            Self::UnknownFormat { .. } | Self::NotDicom { .. } | Self::UnsupportedTransferSyntax { .. } | Self::UnsupportedNifti { .. } => Nature::Unsupported,
+            Self::UnknownFormat { .. } | Self::NotDicom { .. } | Self::UnsupportedTransferSyntax { .. } | Self::UnsupportedNifti { .. } => {
+                Nature::Unsupported
+            }
             Self::MixedParts { .. }
             | Self::NotNuclearMedicine { .. }
             | Self::Projections { .. }

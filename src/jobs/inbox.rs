@@ -102,7 +102,8 @@ impl Store {
             });
         }
         // What waits for its rest is bounded as what waits for a worker is.
-        let row = transaction.fetch_one("SELECT CAST(COALESCE(SUM(size), 0) AS BIGINT) FROM instances WHERE job_id IS NULL", vec![]).await?;
+        let row =
+            transaction.fetch_one("SELECT CAST(COALESCE(SUM(size), 0) AS BIGINT) FROM instances WHERE job_id IS NULL", vec![]).await?;
         if row.map_or(Ok(0), |row| row.get::<i64>(0))? as u64 > self.inner.queue.limit().bytes {
             return Err(self.inner.queue.full().into());
         }
@@ -126,7 +127,8 @@ impl Store {
             Members::None => Ok(()),
             Members::Whole(instance) => self.insert_instance(transaction, instance, Some(job)).await,
             Members::Filed { instance_uids, keep } => {
-                let sql = "UPDATE instances SET job_id = $1, data = CASE WHEN $2 = 1 THEN data END WHERE owner = $3 AND sop_instance_uid = $4";
+                let sql =
+                    "UPDATE instances SET job_id = $1, data = CASE WHEN $2 = 1 THEN data END WHERE owner = $3 AND sop_instance_uid = $4";
                 for uid in instance_uids {
                     transaction.execute(sql, values![job, i64::from(keep), owner, uid]).await?;
                 }

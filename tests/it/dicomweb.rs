@@ -184,10 +184,16 @@ fn what_is_refused_is_named_with_its_reason_and_stored_nowhere() {
     let uid = parted::text_of(&good, tags::STUDY_INSTANCE_UID);
     let ct = parted::with(
         &good,
-        &[(tags::SOP_CLASS_UID, VR::UI, "1.2.840.10008.5.1.4.1.1.2"), (tags::MODALITY, VR::CS, "CT"), (tags::SOP_INSTANCE_UID, VR::UI, "1.2.3.1")],
+        &[
+            (tags::SOP_CLASS_UID, VR::UI, "1.2.840.10008.5.1.4.1.1.2"),
+            (tags::MODALITY, VR::CS, "CT"),
+            (tags::SOP_INSTANCE_UID, VR::UI, "1.2.3.1"),
+        ],
     );
-    let projections =
-        parted::with(&good, &[(tags::IMAGE_TYPE, VR::CS, "ORIGINAL\\PRIMARY\\TOMO\\EMISSION"), (tags::SOP_INSTANCE_UID, VR::UI, "1.2.3.2")]);
+    let projections = parted::with(
+        &good,
+        &[(tags::IMAGE_TYPE, VR::CS, "ORIGINAL\\PRIMARY\\TOMO\\EMISSION"), (tags::SOP_INSTANCE_UID, VR::UI, "1.2.3.2")],
+    );
     let projections = parted::without(&projections, &[tags::SLICE_VECTOR, tags::FRAME_INCREMENT_POINTER]);
     let cut = &good[..good.len() - 100];
     let answer = store(&service, &[&ct, &good, &projections, cut, b"no DICOM at all"]);
@@ -232,11 +238,16 @@ fn bodies_are_taken_as_clients_send_them_and_bounded() {
     let problem = |status: u16, code: &str| (status, code.to_owned());
     assert_eq!(refused("multipart/related", b"--x--"), problem(400, "malformed_multipart"));
     assert_eq!(refused("multipart/related; boundary=x", b"--x--"), problem(400, "empty_body"));
-    assert_eq!(refused("multipart/related; boundary=x", b"--x\r\nContent-Type: application/dicom\r\n\r\ncut"), problem(400, "malformed_multipart"));
+    assert_eq!(
+        refused("multipart/related; boundary=x", b"--x\r\nContent-Type: application/dicom\r\n\r\ncut"),
+        problem(400, "malformed_multipart")
+    );
     assert_eq!(refused("application/dicom", &vec![0; 2 << 20]), problem(413, "too_large"));
     let large = [b"--x\r\n\r\n".as_slice(), &vec![0; 2 << 20], b"\r\n--x--"].concat();
     assert_eq!(refused("multipart/related; boundary=x", &large), problem(413, "too_large"));
-    assert_eq!(refused("multipart/related; boundary=x", &vec![b'x'; 4 << 20]), problem(413, "too_large"));
+    let parts = [b"--x\r\n\r\n".as_slice(), &vec![0; 900 << 10], b"\r\n"].concat().repeat(4);
+    assert_eq!(refused("multipart/related; boundary=x", &[parts.as_slice(), b"--x--"].concat()), problem(413, "too_large"));
+    assert_eq!(refused("multipart/related; boundary=x", &vec![b'x'; 2 << 20]), problem(400, "malformed_multipart"));
     for endless in [b"X-Header: value\r\n".as_slice(), b"no header at all "] {
         let body = [b"--x\r\n".as_slice(), &endless.repeat((2 << 20) / endless.len())].concat();
         assert_eq!(refused("multipart/related; boundary=x", &body), problem(400, "malformed_multipart"));

@@ -40,6 +40,11 @@ fn every_route_of_the_contract_is_documented() {
                 let is_problem = status == "default" || status.starts_with(['4', '5']);
                 let content =
                     response["content"].as_object().map(|content| content.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
+                // STOW-RS refuses in its own words.
+                if path.starts_with("/dicom-web/") && status == "409" {
+                    assert_eq!(content, ["application/dicom+json"]);
+                    continue;
+                }
                 assert_eq!(content == ["application/problem+json"], is_problem, "{method} {path} {status}: {content:?}");
             }
         }
@@ -65,6 +70,8 @@ fn every_route_of_the_contract_is_documented() {
         "get /v1/reconstructions/{id}/report",
         "get /v1/reconstructions/{id}/sr.dcm",
         "get /v1/reconstructions/{id}/surfaces.glb",
+        "post /dicom-web/studies",
+        "post /dicom-web/studies/{study_instance_uid}",
         "post /v1/reconstructions",
     ];
     assert_eq!(operations, expected.map(str::to_owned).into());

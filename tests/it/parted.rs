@@ -1,8 +1,9 @@
 //! A phantom's study as cameras and PACS cut it: a file for all gates, a file a gate, a file a slice.
 
-use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
+use dicom_core::{DataElement, PrimitiveValue, Tag, VR, value::DataSetSequence};
 use dicom_dictionary_std::tags;
 use dicom_object::{DefaultDicomObject, from_reader};
+use glam::DVec3;
 use ventricle::{
     phantom::{self, Imaging, Phantom, Shape, Ventricle},
     volume::Grid,
@@ -55,12 +56,21 @@ pub(crate) fn gates(whole: &[u8]) -> Vec<Vec<u8>> {
     (0..GATES).map(|gate| cut(whole, gate * SLICES..(gate + 1) * SLICES)).collect()
 }
 
-/// The study with a file a slice.
+/// The study with a file a slice, each with its own position.
 pub(crate) fn slices(whole: &[u8]) -> Vec<Vec<u8>> {
     (0..GATES * SLICES)
         .map(|frame| {
-            let position = format!("{}", (frame % SLICES) as f64 * 6.4);
-            with(&cut(whole, frame..frame + 1), &[(tags::SLICE_LOCATION, VR::DS, &position)])
+            let mut object = from_reader(cut(whole, frame..frame + 1).as_slice()).unwrap();
+            let spacing: f64 = object.element(tags::SPACING_BETWEEN_SLICES).unwrap().to_float64().unwrap();
+            let mut detector = object.element(tags::DETECTOR_INFORMATION_SEQUENCE).unwrap().items().unwrap()[0].clone();
+            let numbers = |tag| -> Vec<f64> { detector.element(tag).unwrap().to_multi_float64().unwrap() };
+            let (plane, origin) = (numbers(tags::IMAGE_ORIENTATION_PATIENT), numbers(tags::IMAGE_POSITION_PATIENT));
+            let (row, column) = (DVec3::from_slice(&plane[..3]), DVec3::from_slice(&plane[3..]));
+            let position = DVec3::from_slice(&origin) + row.cross(column) * spacing * (frame % SLICES) as f64;
+            let text = position.to_array().map(|value| format!("{value:.9}")).join("\\");
+            detector.put(DataElement::new(tags::IMAGE_POSITION_PATIENT, VR::DS, PrimitiveValue::from(text.as_str())));
+            object.put(DataElement::new(tags::DETECTOR_INFORMATION_SEQUENCE, VR::SQ, DataSetSequence::from(vec![detector])));
+            written(object)
         })
         .collect()
 }
@@ -68,7 +78,8 @@ pub(crate) fn slices(whole: &[u8]) -> Vec<Vec<u8>> {
 /// Some frames of the study as an instance of their own.
 fn cut(whole: &[u8], frames: std::ops::Range<usize>) -> Vec<u8> {
     let mut object = from_reader(whole).unwrap();
-    let uid = format!("{}.{}", object.element(tags::SOP_INSTANCE_UID).unwrap().to_str().unwrap().trim_end_matches('\0'), frames.start + 1);
+    let uid = object.element(tags::SOP_INSTANCE_UID).unwrap().to_str().unwrap().trim_end_matches('\0').to_owned();
+    let uid = format!("{uid}.{}.{}", frames.start + 1, frames.len());
     let pixels: Vec<u16> = object.element(tags::PIXEL_DATA).unwrap().to_multi_int().unwrap();
     let size = SHAPE[1] * SHAPE[2];
     let numbers = |number: &dyn Fn(usize) -> usize| PrimitiveValue::U16(frames.clone().map(|frame| number(frame) as u16).collect());

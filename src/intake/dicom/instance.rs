@@ -77,7 +77,8 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
 
 /// A Part-10 file of the elements that are read and the pixel data, each as it is in the file; what was deflated is not any more.
 fn excerpt(scan: &Scan<'_>, keep_subject: bool, object: &Object<'_>) -> Result<Vec<u8>, IntakeError> {
-    let failed = |error: &dyn std::fmt::Display| IntakeError::UnreadableDataSet { reason: format!("it could not be written again: {error}") };
+    let failed =
+        |error: &dyn std::fmt::Display| IntakeError::UnreadableDataSet { reason: format!("it could not be written again: {error}") };
     let inflated = matches!(scan.data, std::borrow::Cow::Owned(_));
     let meta = FileMetaTableBuilder::new()
         .media_storage_sop_class_uid(scan.media_class.as_deref().unwrap_or(NUCLEAR_MEDICINE))

@@ -38,7 +38,13 @@ impl<'a> Object<'a> {
     }
 
     /// Checks one file that was scanned and parsed.
-    pub(super) fn of(scan: Scan<'a>, attributes: Attributes, keep_subject: bool, limits: &Limits, warnings: &mut Vec<Warning>) -> Result<Self, IntakeError> {
+    pub(super) fn of(
+        scan: Scan<'a>,
+        attributes: Attributes,
+        keep_subject: bool,
+        limits: &Limits,
+        warnings: &mut Vec<Warning>,
+    ) -> Result<Self, IntakeError> {
         let declared_frames = attributes.integer(tags::NUMBER_OF_FRAMES, "Number of Frames");
         let kind = identity::check(
             &attributes,
