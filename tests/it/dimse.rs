@@ -182,7 +182,7 @@ fn an_object_beyond_the_limit_is_refused_and_the_association_goes_on() {
     if !has_dcmtk() {
         return;
     }
-    let (data, files) = (Directory::new("dimse-full"), Directory::new("dimse-full-files"));
+    let (data, files) = (Directory::new("dimse-large"), Directory::new("dimse-large-files"));
     let service = service(&data, &["--max-body-mb", "1", "--max-queued-mb", "1"]);
     let large = phantom::simulate(&Phantom::of(Shape::Ventricle(Ventricle::NORMAL))).unwrap().study;
     let file = write(&files.0, "large.dcm", &phantom::dicom::write(&large).unwrap());
@@ -191,6 +191,22 @@ fn an_object_beyond_the_limit_is_refused_and_the_association_goes_on() {
     let (_, said) = dcmtk("storescu", &service, &["-d", "-nh"], &[file, small]);
     assert!(said.contains("0xa700") && said.contains("exceeds 1 MiB"), "{said}");
     assert_eq!((objects(&service, "A700"), objects(&service, "0000"), jobs(&service).len()), (1, 1, 1), "{said}");
+}
+
+#[test]
+fn what_has_no_place_in_the_queue_is_to_come_again() {
+    if !has_dcmtk() {
+        return;
+    }
+    let (data, files) = (Directory::new("dimse-full"), Directory::new("dimse-full-files"));
+    // One is worked on for a second or so, one waits.
+    let service = service(&data, &["--max-queued-jobs", "1", "--workers", "1"]);
+    let paths: Vec<PathBuf> = (1..=8).map(|seed| write(&files.0, &format!("{seed}.dcm"), &parted::ungated(seed))).collect();
+    let (_, said) = dcmtk("storescu", &service, &["-d", "-nh"], &paths);
+    assert!(said.contains("0xa700") && said.contains("The queue is full"), "{said}");
+    let (stored, refused) = (objects(&service, "0000"), objects(&service, "A700"));
+    assert!(stored >= 1 && refused >= 1 && stored + refused == 8, "{stored} stored, {refused} refused");
+    assert_eq!(jobs(&service).len() as u64, stored);
 }
 
 #[test]
