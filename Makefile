@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test chaos bench-queue lint openapi tables accuracy
+.PHONY: help demo build test chaos bench-queue fuzz lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -31,6 +31,13 @@ chaos: ## kills services and databases at random times under 500 real jobs each,
 
 bench-queue: ## measures what the queue carries and what more nodes bring (about five minutes)
 	cargo bench --locked --bench queue
+
+# Targets and their corpus are in fuzz/; what is found stays in fuzz/artifacts.
+FUZZ_SECONDS ?= 600
+FUZZ_TARGETS ?= prescan dicom nifti npy json multipart frame_header
+
+fuzz: ## runs each fuzz target for FUZZ_SECONDS (needs a nightly toolchain and cargo-fuzz)
+	@tests/tools/fuzz.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)
 
 lint: ## formatting, clippy, documentation, licences and advisories
 	cargo fmt --check

@@ -9,6 +9,18 @@ const LONGEST_RETENTION_HOURS: u64 = 876_000;
 /// Fewest characters of a secret: 16 random letters and digits are 95 bits, beyond guessing.
 const LEAST_SECRET: usize = 16;
 
+/// Where Linux has the program of the calling process, even if its file was replaced meanwhile.
+const OWN_PROGRAM: &str = "/proc/self/exe";
+
+/// The program that is running, to start it a second time.
+///
+/// # Errors
+/// The system does not know.
+pub fn own_program() -> std::io::Result<PathBuf> {
+    let linux = PathBuf::from(OWN_PROGRAM);
+    if linux.exists() { Ok(linux) } else { std::env::current_exe() }
+}
+
 /// Settings of `ventricle serve`.
 #[derive(Debug, Clone, Args)]
 pub struct ServeSettings {

@@ -9,6 +9,7 @@
 //! | [`subject`] | whom a study is of, where that is kept |
 //! | [`mesh`] | closed triangle meshes and what is measured on them |
 //! | [`phantom`] | analytic beating ventricles with exact volumes |
+//! | [`codecs`] | compressed frames → samples, in a child process |
 //! | [`intake`] | bytes → study: DICOM, NIfTI, JSON, with their limits |
 //! | [`pipeline`] | study → reconstruction, pure functions, one file a stage |
 //! | [`report`] | reconstruction → what people read |
@@ -28,6 +29,7 @@ pub mod accuracy;
 pub mod archive;
 pub mod assembly;
 pub mod callbacks;
+pub mod codecs;
 pub mod config;
 pub mod dimse;
 pub mod drawing;

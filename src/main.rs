@@ -31,6 +31,9 @@ enum Command {
     Openapi(commands::openapi::Args),
     /// Asks a running service whether it is ready; exit status 0 if so.
     Healthcheck(commands::healthcheck::Args),
+    /// Decodes compressed images for another process of this program.
+    #[command(hide = true, name = ventricle::codecs::SUBCOMMAND)]
+    DecodeFrames(commands::decode_frames::Args),
 }
 
 fn main() -> ExitCode {
@@ -54,5 +57,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Accuracy(args) => commands::accuracy::run(args),
         Command::Openapi(args) => commands::openapi::run(args),
         Command::Healthcheck(args) => commands::healthcheck::run(args),
+        Command::DecodeFrames(args) => commands::decode_frames::run(&args),
     }
 }

@@ -49,6 +49,7 @@ impl Refusal {
             Self::Intake(error) => match innermost(error) {
                 IntakeError::NotNuclearMedicine { .. } => 0x0122,
                 IntakeError::UnsupportedTransferSyntax { .. } => 0xC122,
+                IntakeError::DecoderUnavailable { .. } => 0xA700,
                 IntakeError::Projections { .. } | IntakeError::NotTomographic { .. } => 0xA900,
                 _ => 0xC000,
             },

@@ -2,7 +2,7 @@
 
 use super::{Assembler, digest, read};
 use crate::{
-    intake::{Holds, IntakeError, Received},
+    intake::{Holds, IntakeError, Nature, Received},
     jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
 };
 use uuid::Uuid;
@@ -14,6 +14,8 @@ pub(super) enum AssemblyError {
     Submit(#[from] SubmitError),
     #[error(transparent)]
     Store(#[from] StoreError),
+    #[error("{0}")]
+    Unavailable(IntakeError),
 }
 
 impl Assembler {
@@ -52,6 +54,8 @@ impl Assembler {
                 let submitted = self.store.submit_assembled(reservation, new, Members::Filed { instance_uids, keep }).await?;
                 Ok(Some(submitted.job().id))
             }
+            // Not the study's fault: it waits.
+            Err(error) if error.nature() == Nature::Unavailable => Err(AssemblyError::Unavailable(error)),
             Err(error) => {
                 tracing::info!(code = error.code(), "the instances of a series make no study");
                 let error = JobError { code: error.code().to_owned(), message: sentence(&error) };

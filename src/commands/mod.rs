@@ -1,6 +1,7 @@
 //! One file a subcommand, and the table two of them print.
 
 pub(crate) mod accuracy;
+pub(crate) mod decode_frames;
 pub(crate) mod demo;
 pub(crate) mod healthcheck;
 pub(crate) mod openapi;

@@ -11,6 +11,8 @@ use std::{
     path::PathBuf,
 };
 use ventricle::{
+    codecs::Decoder,
+    config,
     export::{glb, vtu},
     intake::{self, Limits, Options, Part},
     jobs::Progress,
@@ -115,7 +117,8 @@ fn read(args: &Args) -> anyhow::Result<intake::Received> {
     let names: Vec<_> = args.files.iter().map(|path| path.file_name().map(|name| name.to_string_lossy().into_owned())).collect();
     let parts: Vec<Part<'_>> =
         contents.iter().zip(&names).map(|(bytes, name)| Part { media_type: None, filename: name.as_deref(), bytes }).collect();
-    Ok(intake::read(&parts, &Options { spacing_mm: args.spacing_mm, ..Options::default() }, &Limits::default())?)
+    let limits = Limits { decoder: config::own_program().ok().map(|program| Decoder { program }), ..Limits::default() };
+    Ok(intake::read(&parts, &Options { spacing_mm: args.spacing_mm, ..Options::default() }, &limits)?)
 }
 
 /// Three positive numbers with commas between them.

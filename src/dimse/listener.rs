@@ -6,7 +6,7 @@ use super::{
     peer::{Broken, Peer, Stream},
     shown,
 };
-use crate::assembly::Assembler;
+use crate::{assembly::Assembler, intake::TransferSyntax};
 use dicom_ul::pdu::{AssociationRJ, Pdu};
 use std::{sync::Arc, time::Duration};
 use tokio::{
@@ -30,6 +30,8 @@ const SYSTEM_PAUSE: Duration = Duration::from_millis(100);
 pub struct Settings {
     /// Calling AE titles that may associate; empty: any.
     pub callers: Vec<String>,
+    /// Encodings in which objects are accepted.
+    pub transfer_syntaxes: Vec<TransferSyntax>,
     /// Associations at once.
     pub associations: usize,
     /// Most bytes of one object.
@@ -154,8 +156,11 @@ impl Shared {
             }
         };
         let caller = shown(&request.calling_ae_title);
-        let judged =
-            if self.draining.is_cancelled() { Err(negotiate::stopping()) } else { negotiate::judge(&request, &self.settings.callers) };
+        let judged = if self.draining.is_cancelled() {
+            Err(negotiate::stopping())
+        } else {
+            negotiate::judge(&request, &self.settings.callers, &self.settings.transfer_syntaxes)
+        };
         let (accepted, _place) =
             match judged.and_then(|accepted| Ok((accepted, self.places.try_acquire().map_err(|_| negotiate::no_room())?))) {
                 Ok(accepted) => accepted,

@@ -26,6 +26,7 @@ mod tls;
 pub use listener::{Listener, Settings, start};
 pub use send::{SendError, Title, send};
 pub use tls::{TlsError, acceptor};
+pub use tokio_rustls::TlsAcceptor as Acceptor;
 
 /// Application Context Name of DICOM (PS3.7 A.2.1).
 const APPLICATION_CONTEXT: &str = "1.2.840.10008.3.1.1.1";

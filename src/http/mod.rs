@@ -29,6 +29,7 @@ pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressVie
 use crate::{
     assembly::{self, Assembler},
     callbacks::Rules,
+    codecs::Decoder,
     config::Cors,
     intake,
     jobs::Store,
@@ -108,7 +109,14 @@ impl AppState {
     /// With another limit on the bytes of a body.
     #[must_use]
     pub fn with_body_limit(mut self, bytes: usize) -> Self {
-        self.limits = Arc::new(intake::Limits { body_bytes: bytes, ..intake::Limits::default() });
+        Arc::make_mut(&mut self.limits).body_bytes = bytes;
+        self
+    }
+
+    /// With a program that decodes compressed images. Without one they are refused.
+    #[must_use]
+    pub fn with_decoder(mut self, decoder: Decoder) -> Self {
+        Arc::make_mut(&mut self.limits).decoder = Some(decoder);
         self
     }
 
@@ -261,4 +269,10 @@ pub fn openapi_document() -> utoipa::openapi::OpenApi {
 /// The OpenAPI document as text, as `openapi/openapi.json` has it.
 pub fn openapi_json() -> String {
     openapi_document().to_pretty_json().unwrap_or_default() + "\n"
+}
+
+/// Takes a body apart as a submission is; the number of its files. For the fuzz target of multipart bodies.
+#[doc(hidden)]
+pub fn take_apart(content_type: &str, body: Vec<u8>) -> Result<usize, String> {
+    body::Upload::new(Some(content_type), body.into()).map(|upload| upload.files.len()).map_err(|error| error.to_string())
 }

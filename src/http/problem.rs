@@ -176,6 +176,7 @@ impl From<IntakeError> for Problem {
             Nature::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
             Nature::Unsupported => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             Nature::Refused => StatusCode::UNPROCESSABLE_ENTITY,
+            Nature::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
         };
         Self::new(status, error.code(), sentence(&error.to_string()))
     }

@@ -7,8 +7,9 @@ use crate::{
         self, AllowError, Allowed, Deliveries, DeliverySettings, Destination, DestinationError, Document, Results, RootsError, Rules,
         Sender, Signer, TargetError,
     },
-    config::{ConfigError, ServeSettings},
-    dimse,
+    codecs::Decoder,
+    config::{self, ConfigError, ServeSettings},
+    dimse, intake,
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
 };
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
@@ -123,7 +124,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let listener = bind(settings.listen).await?;
     let address = listener.local_addr()?;
     let dimse_listener = match settings.dimse_listen {
-        Some(address) => Some((bind(address).await?, dimse_settings(settings)?)),
+        Some(address) => Some((bind(address).await?, tls(settings)?)),
         None => None,
     };
     let dimse_address = dimse_listener.as_ref().map(|(listener, _)| listener.local_addr()).transpose()?;
@@ -137,7 +138,10 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let deliveries = outward.deliveries.map(|settings| callbacks::start(store.clone(), settings));
     let assembly = state.assembler().watch();
     let (draining, closing) = (state.draining(), CancellationToken::new());
-    let dimse = dimse_listener.map(|(listener, settings)| dimse::start(listener, settings, state.assembler(), draining.clone()));
+    let dimse = dimse_listener.map(|(listener, tls)| {
+        let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), tls);
+        dimse::start(listener, settings, state.assembler(), draining.clone())
+    });
     let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
     let drain_time = settings.drain_time();
     Ok(Running { address, dimse_address, draining, closing, listener, workers, deliveries, dimse, _assembly: assembly, store, drain_time })
@@ -219,19 +223,28 @@ fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
     Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
 }
 
-/// How a service with these settings takes DICOM associations.
-fn dimse_settings(settings: &ServeSettings) -> Result<dimse::Settings, ServeError> {
-    let tls = match (&settings.dimse_tls_cert, &settings.dimse_tls_key) {
+/// Certificate and key of DICOM associations, if they are to be encrypted.
+fn tls(settings: &ServeSettings) -> Result<Option<dimse::Acceptor>, ServeError> {
+    Ok(match (&settings.dimse_tls_cert, &settings.dimse_tls_key) {
         (Some(certificates), Some(key)) => Some(dimse::acceptor(certificates, key)?),
         _ => None,
-    };
-    Ok(dimse::Settings {
+    })
+}
+
+/// How a service with these settings takes DICOM associations.
+fn dimse_settings(
+    settings: &ServeSettings,
+    transfer_syntaxes: Vec<intake::TransferSyntax>,
+    tls: Option<dimse::Acceptor>,
+) -> dimse::Settings {
+    dimse::Settings {
         callers: settings.dimse_calling_ae.clone(),
+        transfer_syntaxes,
         associations: settings.dimse_max_associations.into(),
         object_bytes: settings.max_body_bytes() as usize,
         object_time: Duration::from_secs(settings.upload_seconds),
         tls,
-    })
+    }
 }
 
 /// The workers a service with these settings has.
@@ -247,7 +260,7 @@ fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
 
 fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> AppState {
     let workers = Arc::clone(workers);
-    let state = AppState::new(store.clone())
+    let mut state = AppState::new(store.clone())
         .with_body_limit(settings.max_body_bytes() as usize)
         .with_studies(settings.max_study_mb << 20, Duration::from_secs(settings.quiet_seconds))
         .with_upload_time(Duration::from_secs(settings.upload_seconds))
@@ -255,6 +268,10 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
         .with_patients_kept(settings.keep_patient)
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
+    match config::own_program() {
+        Ok(program) => state = state.with_decoder(Decoder { program }),
+        Err(error) => tracing::warn!(%error, "this program does not find itself: compressed images are refused"),
+    }
     if settings.database_url.is_some() {
         return state;
     }

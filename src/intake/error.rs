@@ -27,6 +27,8 @@ pub enum Nature {
     Unsupported,
     /// Understood, and not something that can be reconstructed.
     Refused,
+    /// Nothing is wrong with it, but with the service.
+    Unavailable,
 }
 
 /// Why a request holds no study that can be reconstructed.
@@ -156,7 +158,7 @@ pub enum IntakeError {
         columns: usize,
     },
     /// Compressed pixel data that does not decode.
-    #[error("frame {frame} of the RLE pixel data is damaged: {reason}")]
+    #[error("frame {frame} of the compressed pixel data is damaged: {reason}")]
     DamagedPixelData {
         /// Frame, counted from 1.
         frame: usize,
@@ -219,6 +221,12 @@ pub enum IntakeError {
         /// What is wrong.
         reason: String,
     },
+    /// Nothing decodes compressed pixel data at the moment.
+    #[error("the pixel data is compressed and cannot be decoded now: {reason}; send it again later, or uncompressed")]
+    DecoderUnavailable {
+        /// Why not.
+        reason: String,
+    },
     /// The reader itself failed.
     #[error("the DICOM data set could not be read: {reason}")]
     UnreadableDataSet {
@@ -248,6 +256,7 @@ impl IntakeError {
             Self::InconsistentFrames { .. } => "inconsistent_frames",
             Self::PixelDataLength { .. } => "pixel_data_length",
             Self::DamagedPixelData { .. } => "damaged_pixel_data",
+            Self::DecoderUnavailable { .. } => "decoder_unavailable",
             Self::OutsideLimits { .. } => "outside_limits",
             Self::NotFinite { .. } => "counts_not_finite",
             Self::NoCounts => "no_counts",
@@ -267,6 +276,7 @@ impl IntakeError {
             Self::TooLarge { .. } => Nature::TooLarge,
             Self::InFile { source, .. } => source.nature(),
             Self::DicomStructure(scan) => scan.nature(),
+            Self::DecoderUnavailable { .. } => Nature::Unavailable,
             Self::Empty
             | Self::MalformedNifti { .. }
             | Self::DamagedGzip { .. }

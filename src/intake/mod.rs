@@ -14,11 +14,11 @@ mod npy;
 mod prescan;
 mod sniff;
 
-pub use dicom::{Holds, Instance, Refused, STORAGE_CLASSES, examine, transfer_syntaxes};
+pub use dicom::{Holds, Instance, Refused, STORAGE_CLASSES, TransferSyntax, examine, transfer_syntaxes};
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;
 
-use crate::{study::Study, subject::Subject};
+use crate::{codecs, study::Study, subject::Subject};
 use std::ops::RangeInclusive;
 
 /// One body, or one part of a multipart body.
@@ -71,6 +71,9 @@ pub struct Limits {
     pub elements: usize,
     /// Depth of nested DICOM sequences. Structured reports, the deepest valid files, reach 10.
     pub depth: usize,
+    /// Where compressed DICOM frames are decoded: a program of its own, since some of what can be wrong with them cannot be survived. Without
+    /// one they are refused by name.
+    pub decoder: Option<codecs::Decoder>,
 }
 
 impl Default for Limits {
@@ -89,6 +92,7 @@ impl Default for Limits {
             described_bytes: 4 << 20,
             elements: 200_000,
             depth: 32,
+            decoder: None,
         }
     }
 }
@@ -149,4 +153,10 @@ pub fn read(parts: &[Part<'_>], options: &Options, limits: &Limits) -> Result<Re
         }
     };
     Ok(Received { study, parameters: None, subject })
+}
+
+/// Walks a DICOM file as [`read`] does first; the number of its outermost elements. For the fuzz target of the walk.
+#[doc(hidden)]
+pub fn scan_only(bytes: &[u8], limits: &Limits) -> Result<usize, ScanError> {
+    prescan::scan(bytes, limits).map(|scan| scan.elements.len())
 }

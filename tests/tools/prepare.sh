@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools) and dcmtk (dsrdump, storescu, storescp) for
-# DICOM, strace for what is written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured reports, PostgreSQL for what is stored there.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
+# (libgdcm-tools) for DICOM, strace for what is written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured
+# reports, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -13,7 +14,8 @@ as_root() {
 
 missing=()
 command -v dciodvfy >/dev/null || missing+=(dicom3tools)
-command -v dsrdump >/dev/null || missing+=(dcmtk)
+command -v dcmcjpls >/dev/null || missing+=(dcmtk)
+command -v gdcmconv >/dev/null || missing+=(libgdcm-tools)
 command -v strace >/dev/null || missing+=(strace)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)

@@ -60,7 +60,7 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
     let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error };
     let again = prescan::scan(bytes, limits).map_err(|error| named(error.into()))?;
     let object = Object::of(again, attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
-    let holds = parts::holds(&object).map_err(named)?;
+    let holds = parts::holds(&object, limits).map_err(named)?;
     let needed = |uid: &Option<String>, name, tag: Tag| {
         let advice = "instances are told apart and put together by it";
         uid.clone().ok_or_else(|| named(IntakeError::MissingAttribute { name, tag: tag.to_string(), advice }))

@@ -1,9 +1,10 @@
 //! DICOM Nuclear Medicine images → [`Study`].
 //!
-//! The checks run in the order that gives the best answer: what the object is ([`identity`]), how its pixels are encoded ([`pixels`]),
+//! The checks run in the order that gives the best answer: what the object is ([`identity`]), how its pixels are encoded ([`syntaxes`], [`pixels`]),
 //! which frame is which slice of which gate ([`frames`]), where they lie ([`geometry`]), and how several files make one study ([`series`]).
 
 mod attributes;
+mod encapsulated;
 mod frames;
 mod geometry;
 mod identity;
@@ -13,12 +14,13 @@ mod parts;
 mod pixels;
 mod series;
 mod subject;
+mod syntaxes;
 mod timing;
 
 pub use identity::STORAGE_CLASSES;
 pub use instance::{Instance, Refused, examine};
 pub use parts::Holds;
-pub use pixels::transfer_syntaxes;
+pub use syntaxes::{TransferSyntax, transfer_syntaxes};
 
 use super::{IntakeError, Limits, Part, counts};
 use crate::study::{Acquisition, Format, Study, Warning};
@@ -35,10 +37,9 @@ pub(super) fn read(parts: &[Part<'_>], keep_subject: bool, limits: &Limits) -> R
     // What all files together may take; each file leaves less for the next.
     let mut remaining = limits.clone();
     for (index, part) in parts.iter().enumerate() {
-        let in_file = |error| if parts.len() == 1 { error } else { IntakeError::InFile { file: index + 1, source: Box::new(error) } };
         // Of a series, the first file speaks for all.
         let mut own = Vec::new();
-        let object = Object::read(part.bytes, keep_subject, &remaining, &mut own).map_err(in_file)?;
+        let object = Object::read(part.bytes, keep_subject, &remaining, &mut own).map_err(|error| in_file(error, index, parts.len()))?;
         remaining.inflated_bytes -= object.pixels.inflated_bytes();
         remaining.described_bytes -= object.attributes.bytes;
         objects.push(object);
@@ -54,6 +55,11 @@ pub(super) fn read(parts: &[Part<'_>], keep_subject: bool, limits: &Limits) -> R
     Ok((build(&objects, &arrangement, limits, warnings)?, subject))
 }
 
+/// An error of one of several files (counted from 0).
+fn in_file(error: IntakeError, index: usize, files: usize) -> IntakeError {
+    if files == 1 { error } else { IntakeError::InFile { file: index + 1, source: Box::new(error) } }
+}
+
 /// Decodes the frames into their places.
 fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut warnings: Vec<Warning>) -> Result<Study, IntakeError> {
     let first = &objects[0];
@@ -67,12 +73,14 @@ fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut
     counts::check_spacing(geometry.spacing_mm, limits)?;
     let grid = Grid { shape, spacing_mm: geometry.spacing_mm };
 
+    let mut session = limits.decoder.as_ref().map(|decoder| decoder.session(gates * shape.iter().product::<usize>()));
     let mut volumes = Vec::with_capacity(gates);
     for gate in &arrangement.gates {
         let mut volume = Array3::zeros(shape);
         for (source, mut slice) in gate.iter().zip(volume.axis_iter_mut(Axis(0))) {
             if let Some(values) = slice.as_slice_mut() {
-                objects[source.object].pixels.decode(source.frame, values)?;
+                let decoded = objects[source.object].pixels.decode(source.frame, values, session.as_mut());
+                decoded.map_err(|error| in_file(error, source.object, objects.len()))?;
             }
         }
         volumes.push(volume);

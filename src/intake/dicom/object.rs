@@ -79,7 +79,7 @@ impl<'a> Object<'a> {
         let instance_uid = attributes.uid(tags::SOP_INSTANCE_UID);
         let class_uid = identity::class_uid(&attributes, &scan);
         let subject = keep_subject.then(|| subject::of_scan(&scan, warnings));
-        let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], warnings)?;
+        let pixels = Pixels::locate(scan, &attributes, [frames, rows, columns], limits, warnings)?;
         Ok(Self { attributes, kind, rows, columns, frames, pixels, study_uid, series_uid, instance_uid, class_uid, subject })
     }
 }

@@ -4,7 +4,7 @@ use super::frames::{Arrangement, Places};
 use super::identity::Kind;
 use super::object::Object;
 use super::timing::data_information;
-use crate::intake::IntakeError;
+use crate::intake::{IntakeError, Limits};
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use serde::{Deserialize, Serialize};
@@ -41,7 +41,7 @@ impl Holds {
 }
 
 /// What this object holds. Its frames must be consistent in themselves, and those of a part that has to wait for others must decode.
-pub(super) fn holds(object: &Object<'_>) -> Result<Holds, IntakeError> {
+pub(super) fn holds(object: &Object<'_>, limits: &Limits) -> Result<Holds, IntakeError> {
     let time_slots = number(object, tags::NUMBER_OF_TIME_SLOTS, "Number of Time Slots")?;
     let holds = if object.frames == 1 {
         let slices = number(object, tags::NUMBER_OF_SLICES, "Number of Slices")?;
@@ -57,8 +57,9 @@ pub(super) fn holds(object: &Object<'_>) -> Result<Holds, IntakeError> {
         Holds::Gate { of: time_slots.filter(|&slots| slots > 1) }
     };
     let mut counts = vec![0.0; object.rows * object.columns];
+    let mut session = limits.decoder.as_ref().map(|decoder| decoder.session(object.frames * counts.len()));
     for frame in 0..object.frames {
-        object.pixels.decode(frame, &mut counts)?;
+        object.pixels.decode(frame, &mut counts, session.as_mut())?;
     }
     Ok(holds)
 }

@@ -1,58 +1,40 @@
-//! Pixel data → counts: native samples of 8 or 16 bits in both byte orders, and RLE Lossless, rescaled by Rescale Slope and Intercept.
+//! Pixel data → counts: samples of 8 or 16 bits, native in both byte orders, in RLE Lossless or compressed, rescaled by Rescale Slope and
+//! Intercept.
 //!
 //! The DICOM library's own decoders are not used: they apply display transforms by default, and its RLE decoder allocates what a damaged
-//! header declares (17 GB for one flipped byte) and panics on short segments. Here nothing is allocated beyond the declared frame.
+//! header declares (17 GB for one flipped byte) and panics on short segments. Here nothing is allocated beyond the declared frame, and what
+//! `codecs` decodes is decoded in a process of its own.
 
 use super::attributes::{Attributes, invalid};
-use crate::intake::IntakeError;
+use super::encapsulated;
+use super::syntaxes::Encoding;
+use crate::codecs::{self, Codec, DecodeError, HeaderError, Layout};
 use crate::intake::error::shown;
 use crate::intake::prescan::{self, Scan};
+use crate::intake::{IntakeError, Limits};
 use crate::study::Warning;
 use dicom_core::{Tag, VR};
 use dicom_dictionary_std::tags;
 use std::borrow::Cow;
 use std::ops::Range;
 
-/// Name, UID of the encodings that are refused by name.
-const COMPRESSED: [(&str, &str); 20] = [
-    ("1.2.840.10008.1.2.1.98", "Encapsulated Uncompressed Explicit VR Little Endian"),
-    ("1.2.840.10008.1.2.4.50", "JPEG Baseline"),
-    ("1.2.840.10008.1.2.4.51", "JPEG Extended (12 bit)"),
-    ("1.2.840.10008.1.2.4.57", "JPEG Lossless"),
-    ("1.2.840.10008.1.2.4.70", "JPEG Lossless, first-order prediction"),
-    ("1.2.840.10008.1.2.4.80", "JPEG-LS Lossless"),
-    ("1.2.840.10008.1.2.4.81", "JPEG-LS Near-lossless"),
-    ("1.2.840.10008.1.2.4.90", "JPEG 2000 Lossless"),
-    ("1.2.840.10008.1.2.4.91", "JPEG 2000"),
-    ("1.2.840.10008.1.2.4.92", "JPEG 2000 Part 2 Lossless"),
-    ("1.2.840.10008.1.2.4.93", "JPEG 2000 Part 2"),
-    ("1.2.840.10008.1.2.4.94", "JPIP Referenced"),
-    ("1.2.840.10008.1.2.4.95", "JPIP Referenced Deflate"),
-    ("1.2.840.10008.1.2.4.100", "MPEG2"),
-    ("1.2.840.10008.1.2.4.102", "MPEG-4"),
-    ("1.2.840.10008.1.2.4.110", "JPEG XL Lossless"),
-    ("1.2.840.10008.1.2.4.112", "JPEG XL"),
-    ("1.2.840.10008.1.2.4.201", "High-Throughput JPEG 2000 Lossless"),
-    ("1.2.840.10008.1.2.8.1", "Deflated Image Frame Compression"),
-    ("1.2.840.113619.5.2", "GE private implicit VR big-endian"),
-];
-/// Native encodings: implicit and explicit little-endian, deflated, explicit big-endian.
-const NATIVE: [&str; 4] = ["1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99", "1.2.840.10008.1.2.2"];
-const RLE: &str = "1.2.840.10008.1.2.5";
 /// PS3.5 G.5: a segment count and 15 offsets of 32 bits.
 const RLE_HEADER_BYTES: usize = 64;
-
-/// The transfer syntaxes in which objects are read.
-pub fn transfer_syntaxes() -> impl Iterator<Item = &'static str> {
-    NATIVE.into_iter().chain([RLE])
-}
 
 /// Where the samples are.
 #[derive(Debug)]
 enum Storage {
     Native(Range<usize>),
+    /// One fragment a frame, uncompressed.
+    Fragments(Vec<Range<usize>>),
     /// One fragment a frame.
     Rle(Vec<Range<usize>>),
+    /// The fragments of each frame; their headers have been checked.
+    Compressed {
+        codec: Codec,
+        layout: Layout,
+        frames: Vec<Vec<Range<usize>>>,
+    },
 }
 
 /// How samples become counts.
@@ -78,29 +60,28 @@ pub(super) struct Pixels<'a> {
 }
 
 impl<'a> Pixels<'a> {
-    /// Checks the encoding and the length of pixel data of `[frames, rows, columns]`.
+    /// Checks the encoding and the length of pixel data of `[frames, rows, columns]`, and the headers of compressed frames.
     pub(super) fn locate(
         scan: Scan<'a>,
         attributes: &Attributes,
         [frames, rows, columns]: [usize; 3],
+        limits: &Limits,
         warnings: &mut Vec<Warning>,
     ) -> Result<Self, IntakeError> {
         let uid = scan.encoding.uid.as_str();
-        if uid != RLE && !NATIVE.contains(&uid) {
-            let name = COMPRESSED.iter().find(|(known, _)| *known == uid).map_or("an encoding unknown here", |(_, name)| name);
-            return Err(IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: shown(uid) });
-        }
+        let unsupported = |name: &str| IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: shown(uid) };
+        let (encoding, name) = Encoding::of(uid).map_err(unsupported)?;
         let mut samples = Samples::of(attributes, scan.encoding.big_endian, warnings)?;
         let frame_samples = rows * columns;
-        let storage = match scan.pixels {
-            prescan::Pixels::Absent => {
+        let storage = match (scan.pixels, encoding) {
+            (prescan::Pixels::Absent, _) => {
                 return Err(IntakeError::MissingAttribute {
                     name: "Pixel Data",
                     tag: tags::PIXEL_DATA.to_string(),
                     advice: "the file is a header without an image; send the whole file",
                 });
             }
-            prescan::Pixels::Native { value, vr } if uid != RLE => {
+            (prescan::Pixels::Native { value, vr }, Encoding::Native) => {
                 let expected = frames * frame_samples * samples.bytes;
                 // A value of odd length is padded to an even one.
                 if value.len() != expected && value.len() != expected + expected % 2 {
@@ -112,29 +93,50 @@ impl<'a> Pixels<'a> {
                 }
                 Storage::Native(value)
             }
-            prescan::Pixels::Encapsulated { fragments } if uid == RLE => {
-                let images = fragments.get(1..).unwrap_or_default();
-                if images.len() != frames {
-                    return Err(IntakeError::InconsistentFrames {
-                        reason: format!(
-                            "Number of Frames (0028,0008) says {frames}, but the RLE pixel data has {} fragments",
-                            images.len()
-                        ),
-                    });
-                }
-                Storage::Rle(images.to_vec())
-            }
-            prescan::Pixels::Native { .. } => {
+            (prescan::Pixels::Native { .. }, _) => {
                 return Err(IntakeError::DamagedPixelData {
                     frame: 1,
-                    reason: "the transfer syntax is RLE, but the pixel data is not encapsulated".to_owned(),
+                    reason: format!("the transfer syntax is {name}, but the pixel data is not encapsulated"),
                 });
             }
-            prescan::Pixels::Encapsulated { .. } => {
-                return Err(IntakeError::UnsupportedTransferSyntax {
-                    name: "an uncompressed transfer syntax with encapsulated fragments (the declared transfer syntax is wrong)".to_owned(),
-                    uid: shown(uid),
-                });
+            (prescan::Pixels::Encapsulated { .. }, Encoding::Native) => {
+                return Err(unsupported(
+                    "an uncompressed transfer syntax with encapsulated fragments (the declared transfer syntax is wrong)",
+                ));
+            }
+            (prescan::Pixels::Encapsulated { fragments }, Encoding::Rle) => Storage::Rle(one_a_frame(&fragments, frames, name)?),
+            (prescan::Pixels::Encapsulated { fragments }, Encoding::Fragments) => {
+                let images = one_a_frame(&fragments, frames, name)?;
+                let expected = frame_samples * samples.bytes;
+                if let Some(wrong) = images.iter().find(|image| image.len() != expected && image.len() != expected + expected % 2) {
+                    return Err(IntakeError::PixelDataLength { actual: wrong.len(), expected, frames: 1, rows, columns });
+                }
+                Storage::Fragments(images)
+            }
+            (prescan::Pixels::Encapsulated { fragments }, Encoding::Compressed { codec, lossy }) => {
+                if limits.decoder.is_none() {
+                    return Err(unsupported(name));
+                }
+                let layout = Layout {
+                    rows: rows as u16,
+                    columns: columns as u16,
+                    bits_allocated: 8 * samples.bytes as u8,
+                    bits_stored: samples.bits_stored as u8,
+                };
+                let frames = encapsulated::frames(&scan.data, &fragments, frames)?;
+                for (index, frame) in frames.iter().enumerate() {
+                    codecs::check(codec, layout, &joined(&scan.data, frame)).map_err(|error| match error {
+                        HeaderError::Unsupported(name) => unsupported(name),
+                        HeaderError::Damaged(reason) => IntakeError::DamagedPixelData { frame: index + 1, reason },
+                    })?;
+                }
+                if lossy {
+                    warnings.push(Warning::new(
+                        "lossy_compression",
+                        format!("The pixel data was sent as {name}, which may change counts; send a lossless one where there is a choice."),
+                    ));
+                }
+                Storage::Compressed { codec, layout, frames }
             }
         };
         Ok(Self { data: scan.data, storage, samples, frame_samples })
@@ -148,8 +150,9 @@ impl<'a> Pixels<'a> {
         }
     }
 
-    /// Decodes a frame (counted from 0) into counts, row by row.
-    pub(super) fn decode(&self, frame: usize, counts: &mut [f32]) -> Result<(), IntakeError> {
+    /// Decodes a frame (counted from 0) into counts, row by row. Compressed ones need a session.
+    pub(super) fn decode(&self, frame: usize, counts: &mut [f32], session: Option<&mut codecs::Session>) -> Result<(), IntakeError> {
+        let damaged = |reason: String| IntakeError::DamagedPixelData { frame: frame + 1, reason };
         match &self.storage {
             Storage::Native(value) => {
                 let length = self.frame_samples * self.samples.bytes;
@@ -162,8 +165,17 @@ impl<'a> Pixels<'a> {
                     self.samples.decode(&pixels[frame * length..(frame + 1) * length], counts);
                 }
             }
+            Storage::Fragments(fragments) => self.samples.decode(&self.data[fragments[frame].clone()], counts),
+            Storage::Compressed { codec, layout, frames } => {
+                let unavailable = || IntakeError::DecoderUnavailable { reason: "there is no decoder".to_owned() };
+                let bytes = joined(&self.data, &frames[frame]);
+                let decoded = session.ok_or_else(unavailable)?.decode(*codec, *layout, &bytes).map_err(|error| match error {
+                    DecodeError::Unavailable(_) => IntakeError::DecoderUnavailable { reason: error.to_string() },
+                    DecodeError::Frame(reason) | DecodeError::Ended(reason) => damaged(reason),
+                })?;
+                self.samples.decode(&decoded, counts);
+            }
             Storage::Rle(fragments) => {
-                let damaged = |reason: String| IntakeError::DamagedPixelData { frame: frame + 1, reason };
                 let bytes = unpack_frame(&self.data[fragments[frame].clone()], self.frame_samples, self.samples.bytes).map_err(damaged)?;
                 Samples { big_endian: false, ..self.samples }.decode(&bytes, counts);
             }
@@ -259,6 +271,25 @@ impl Samples {
         let shifted = sample << unused;
         let value = if self.signed { f64::from(shifted.cast_signed() >> unused) } else { f64::from(shifted >> unused) };
         (value * self.slope + self.intercept) as f32
+    }
+}
+
+/// Fragments of encodings that have one a frame.
+fn one_a_frame(fragments: &[Range<usize>], frames: usize, name: &str) -> Result<Vec<Range<usize>>, IntakeError> {
+    let images = fragments.get(1..).unwrap_or_default();
+    if images.len() == frames {
+        return Ok(images.to_vec());
+    }
+    Err(IntakeError::InconsistentFrames {
+        reason: format!("Number of Frames (0028,0008) says {frames}, but the {name} pixel data has {} fragments", images.len()),
+    })
+}
+
+/// The bytes of a frame; copied only where it has several fragments.
+fn joined<'d>(data: &'d [u8], fragments: &[Range<usize>]) -> Cow<'d, [u8]> {
+    match fragments {
+        [fragment] => Cow::Borrowed(&data[fragment.clone()]),
+        several => Cow::Owned(several.iter().flat_map(|fragment| &data[fragment.clone()]).copied().collect()),
     }
 }
 

@@ -59,7 +59,8 @@ pub(in crate::intake) struct Element {
     pub(in crate::intake) bytes: Range<usize>,
     /// Where the value begins.
     pub(in crate::intake) value_start: usize,
-    /// Whether another parser must read the same structure: not so when it holds UN of undefined length, which some read as explicit.
+    /// Whether another parser must read the same structure: not so when it holds UN of undefined length, which some read as explicit, or a
+    /// value that is no whole number of its VR's units, of which some read the whole units and take what is left for the next header.
     pub(in crate::intake) unambiguous: bool,
 }
 
@@ -171,6 +172,16 @@ fn read_meta(bytes: &[u8], offset: usize) -> Result<Meta, ScanError> {
     Ok(meta)
 }
 
+/// Bytes of one value of a VR; 1 where values have no fixed size (PS3.5 6.2).
+fn unit_bytes(vr: VR) -> usize {
+    match vr {
+        VR::SS | VR::US | VR::OW => 2,
+        VR::AT | VR::FL | VR::OF | VR::OL | VR::SL | VR::UL => 4,
+        VR::FD | VR::OD | VR::OV | VR::SV | VR::UV => 8,
+        _ => 1,
+    }
+}
+
 /// What an open container holds.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Holds {
@@ -270,6 +281,9 @@ impl Walk<'_> {
             return self.open(open, header, Holds::Items, explicit && header.vr != VR::UN);
         }
         let value = header.value(end)?;
+        if let Some(element) = self.elements.last_mut().filter(|_| value.len() % unit_bytes(header.vr) != 0) {
+            element.unambiguous = false;
+        }
         self.close_element(open, value.end);
         Ok(value.end)
     }
