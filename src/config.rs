@@ -1,5 +1,6 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
+use crate::dimse::is_ae_title;
 use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
@@ -130,6 +131,35 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_CALLBACK_CA_FILE", default_value = "/etc/ssl/certs/ca-certificates.crt")]
     pub callback_ca_file: PathBuf,
 
+    /// Where the structured report of every job that succeeds is sent: `https://host/dicom-web/studies` (STOW-RS), or
+    /// `dicom://TITLE@host:port` (C-STORE, unencrypted: only to hosts that `--callback-allow` names).
+    #[arg(long, env = "VENTRICLE_RESULTS_TO")]
+    pub results_to: Option<String>,
+
+    /// Address and port to listen on for DICOM associations (C-STORE, C-ECHO); port 0 takes a free one and prints it. None by default.
+    #[arg(long, env = "VENTRICLE_DIMSE_LISTEN")]
+    pub dimse_listen: Option<SocketAddr>,
+
+    /// AE title of this service.
+    #[arg(long, env = "VENTRICLE_DIMSE_AE_TITLE", default_value = "VENTRICLE", value_parser = ae_title)]
+    pub dimse_ae_title: String,
+
+    /// Calling AE titles that may associate, separated by commas; any if none is named, which only a loopback address allows.
+    #[arg(long, env = "VENTRICLE_DIMSE_CALLING_AE", value_delimiter = ',', value_parser = ae_title)]
+    pub dimse_calling_ae: Vec<String>,
+
+    /// DICOM associations at once; more are rejected for the moment.
+    #[arg(long, env = "VENTRICLE_DIMSE_MAX_ASSOCIATIONS", default_value = "8", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub dimse_max_associations: u16,
+
+    /// PEM file of the certificate with which DICOM associations are encrypted, and of the authorities between. Needs its key.
+    #[arg(long, env = "VENTRICLE_DIMSE_TLS_CERT")]
+    pub dimse_tls_cert: Option<PathBuf>,
+
+    /// PEM file of the key of that certificate, without a password.
+    #[arg(long, env = "VENTRICLE_DIMSE_TLS_KEY")]
+    pub dimse_tls_key: Option<PathBuf>,
+
     /// Origins of web pages that may call the service (CORS), separated by commas, or `*` for any. None by default.
     #[arg(long, env = "VENTRICLE_CORS_ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
@@ -199,6 +229,19 @@ pub enum ConfigError {
         /// The address asked for.
         listen: SocketAddr,
     },
+    /// DICOM associations could come from outside.
+    #[error(
+        "{listen} is not a loopback address, and DICOM associations are not authenticated: whoever reaches it could send studies. Listen on \
+         127.0.0.1, or name the callers with --dimse-calling-ae (VENTRICLE_DIMSE_CALLING_AE) and confirm with --behind-authenticating-proxy \
+         (VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true) that only they reach it: anybody can give an AE title."
+    )]
+    DimseExposed {
+        /// The address asked for.
+        listen: SocketAddr,
+    },
+    /// A certificate without its key, or the other way round.
+    #[error("DICOM associations are encrypted with a certificate and its key: give both --dimse-tls-cert and --dimse-tls-key, or neither.")]
+    DimseTls,
     /// A CORS origin that no browser sends.
     #[error("`{origin}` is not an origin: write scheme, host and, if needed, port, as https://viewer.example.org, or * alone for any.")]
     NotAnOrigin {
@@ -276,6 +319,14 @@ impl ServeSettings {
     pub fn validate(&self) -> Result<(), ConfigError> {
         if !self.listen.ip().is_loopback() && !self.behind_authenticating_proxy {
             return Err(ConfigError::Exposed { listen: self.listen });
+        }
+        if let Some(listen) = self.dimse_listen.filter(|listen| !listen.ip().is_loopback())
+            && (!self.behind_authenticating_proxy || self.dimse_calling_ae.is_empty())
+        {
+            return Err(ConfigError::DimseExposed { listen });
+        }
+        if self.dimse_tls_cert.is_some() != self.dimse_tls_key.is_some() {
+            return Err(ConfigError::DimseTls);
         }
         if let Some(origin) = self.cors_origin.iter().find(|origin| !is_origin(origin) && self.cors() != Cors::Any) {
             return Err(ConfigError::NotAnOrigin { origin: origin.clone() });
@@ -368,6 +419,14 @@ fn is_origin(text: &str) -> bool {
     host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ', '@']))
 }
 
+/// An AE title (PS3.5 table 6.2-1).
+fn ae_title(text: &str) -> Result<String, String> {
+    if is_ae_title(text) {
+        return Ok(text.to_owned());
+    }
+    Err("an AE title has 1 to 16 printable ASCII characters, no backslash and no space at its ends.".to_owned())
+}
+
 /// A name that can stand in a table, a log and a label without quotes.
 fn node_name(text: &str) -> Result<String, String> {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
@@ -401,6 +460,23 @@ mod tests {
         assert!(error.to_string().contains("--behind-authenticating-proxy"), "{error}");
         settings(&["--listen", "[::]:8080", "--behind-authenticating-proxy"]).validate().unwrap();
         settings(&["--listen", "[::1]:8080"]).validate().unwrap();
+    }
+
+    #[test]
+    fn dicom_from_outside_needs_callers_and_an_acknowledgement() {
+        let open = ["--dimse-listen", "0.0.0.0:104"];
+        let (callers, proxy) = (["--dimse-calling-ae", "PACS,CAMERA 2"], ["--behind-authenticating-proxy"]);
+        for flags in [open.to_vec(), [&open[..], &callers].concat(), [&open[..], &proxy].concat()] {
+            assert!(matches!(settings(&flags).validate(), Err(ConfigError::DimseExposed { .. })), "{flags:?}");
+        }
+        let both = settings(&[&open[..], &callers, &proxy].concat());
+        both.validate().unwrap();
+        assert_eq!(both.dimse_calling_ae, ["PACS", "CAMERA 2"]);
+        settings(&["--dimse-listen", "[::1]:11112"]).validate().unwrap();
+        assert_eq!(settings(&["--dimse-tls-cert", "a.pem"]).validate(), Err(ConfigError::DimseTls));
+        for wrong in ["", "SEVENTEEN_LETTERS", "A\\B", " A"] {
+            assert!(ServeSettings::from_flags(["--dimse-ae-title", wrong]).is_err(), "{wrong}");
+        }
     }
 
     #[test]

@@ -6,6 +6,9 @@ use dicom_dictionary_std::tags;
 use dicom_object::InMemDicomObject;
 use sha2::{Digest, Sha256};
 
+/// Names the writer of files and the speaker of associations (PS3.7 D.3.3.2).
+pub(crate) const IMPLEMENTATION_UID: &str = "2.25.153879973904405785727583239291539799884";
+
 /// An element of a data set.
 pub(crate) type Element = DataElement<InMemDicomObject>;
 

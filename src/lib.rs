@@ -20,7 +20,8 @@
 //! | [`accuracy`] | how far both presets are from the truth |
 //! | [`parameters`] | parameters as a client writes them |
 //! | [`jobs`] | what is stored, queued and worked on |
-//! | [`callbacks`] | who is told when a job ends |
+//! | [`callbacks`] | who is told when a job ends, and where its result is sent |
+//! | [`dimse`] | DICOM's own network protocol: images received, results sent |
 //! | [`http`] | the service |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
@@ -30,6 +31,7 @@ pub mod assembly;
 pub mod callbacks;
 pub mod codecs;
 pub mod config;
+pub mod dimse;
 pub mod drawing;
 mod elements;
 pub mod export;

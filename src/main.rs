@@ -16,7 +16,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Runs the HTTP service and its workers.
-    Serve(commands::serve::Args),
+    Serve(Box<commands::serve::Args>),
     /// Starts a service, posts a beating phantom (or a file) through HTTP and shows the result.
     Demo(commands::demo::Args),
     /// Reconstructs a file without a service.
@@ -49,7 +49,7 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Serve(args) => commands::serve::run(args),
+        Command::Serve(args) => commands::serve::run(*args),
         Command::Demo(args) => commands::demo::run(args),
         Command::Reconstruct(args) => commands::reconstruct::run(args),
         Command::Phantom(args) => commands::phantom::run(args),

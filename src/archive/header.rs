@@ -2,7 +2,7 @@
 
 use super::{ArchiveError, Finished, codes::OWN_SCHEME, codes::OWN_SCHEME_UID};
 use crate::{
-    elements::{Element, empty, sequence, text},
+    elements::{Element, IMPLEMENTATION_UID, empty, sequence, text},
     subject::Attribute,
 };
 use dicom_core::{PrimitiveValue, Tag, VR};
@@ -11,8 +11,6 @@ use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
 
 /// Name of what made the object.
 pub(super) const PRODUCT: &str = "Ventricle";
-/// Names the writer of these files (PS3.7 D.3.3.2).
-const IMPLEMENTATION_UID: &str = "2.25.153879973904405785727583239291539799884";
 
 /// The series and instance of an object.
 pub(super) struct Instance<'a> {

@@ -2,11 +2,12 @@
 //! what does not matter.
 
 use super::{
+    results::{ResultError, Results},
     schedule::Schedule,
-    send::{Answer, SendError, Sender, WHOLE_TIME},
+    send::{Answer, Message, SendError, Sender, WHOLE_TIME},
     signature::Signer,
 };
-use crate::jobs::{DeliveryClaim, Job, Settled, Store};
+use crate::jobs::{DeliveryClaim, DeliveryKind, Job, Settled, Store};
 use std::{
     sync::Arc,
     time::{Duration, SystemTime, UNIX_EPOCH},
@@ -31,10 +32,10 @@ pub type Body = Arc<dyn Fn(&Job) -> Vec<u8> + Send + Sync>;
 pub struct DeliverySettings {
     /// What connects.
     pub sender: Sender,
-    /// What signs.
-    pub signer: Signer,
-    /// What is sent.
-    pub body: Body,
+    /// What tells of jobs' ends: signer and body. Without it, other nodes do.
+    pub callbacks: Option<(Signer, Body)>,
+    /// What sends results. Without it, other nodes do.
+    pub results: Option<Results>,
     /// When it is tried again.
     pub schedule: Schedule,
     /// How long a delivery is this node's: longer than an attempt takes.
@@ -47,11 +48,11 @@ pub struct DeliverySettings {
 
 impl DeliverySettings {
     /// The usual ones.
-    pub fn new(sender: Sender, signer: Signer, body: Body) -> Self {
+    pub fn new(sender: Sender, callbacks: Option<(Signer, Body)>, results: Option<Results>) -> Self {
         Self {
             sender,
-            signer,
-            body,
+            callbacks,
+            results,
             schedule: Schedule::default(),
             // The time of an attempt and as much again for a database that answers late.
             lease: WHOLE_TIME * 2,
@@ -59,6 +60,14 @@ impl DeliverySettings {
             // Few enough that nobody's service is flooded; eight receivers that never answer still leave one delivery every 2 s.
             at_once: 8,
         }
+    }
+}
+
+impl DeliverySettings {
+    /// What this node delivers.
+    fn kinds(&self) -> Vec<DeliveryKind> {
+        let callbacks = self.callbacks.is_some().then_some(DeliveryKind::Callback);
+        callbacks.into_iter().chain(self.results.is_some().then_some(DeliveryKind::Result)).collect()
     }
 }
 
@@ -108,17 +117,17 @@ struct Courier {
 
 /// Delivers until told to stop, then ends what is under way.
 async fn run(courier: Arc<Courier>, stopping: CancellationToken) {
-    let mut under_way = JoinSet::new();
+    let (mut under_way, kinds) = (JoinSet::new(), courier.settings.kinds());
     while !stopping.is_cancelled() {
         while under_way.len() < courier.settings.at_once && !stopping.is_cancelled() {
-            match courier.store.claim_delivery(courier.settings.lease).await {
+            match courier.store.claim_delivery(&kinds, courier.settings.lease).await {
                 Ok(Some(claim)) => {
                     let courier = Arc::clone(&courier);
                     under_way.spawn(async move { courier.deliver(claim).await });
                 }
                 Ok(None) => break,
                 Err(error) => {
-                    tracing::warn!(%error, "no callback could be claimed");
+                    tracing::warn!(%error, "nothing to be delivered could be claimed");
                     break;
                 }
             }
@@ -136,7 +145,7 @@ async fn run(courier: Arc<Courier>, stopping: CancellationToken) {
 
 fn report_panic(ended: Result<(), tokio::task::JoinError>) {
     if let Err(error) = ended {
-        tracing::error!(%error, "a callback was not delivered; its lease will lapse");
+        tracing::error!(%error, "a delivery ended in a panic; its lease will lapse");
     }
 }
 
@@ -152,14 +161,27 @@ impl Courier {
         match self.store.settle_delivery(&claim, &settled).await {
             Ok(true) => {}
             Ok(false) => {
-                tracing::warn!(delivery = %claim.id, "a callback was no longer this node's: its lease was over, or its job is deleted");
+                tracing::warn!(delivery = %claim.id, "a delivery was no longer this node's: its lease was over, or its job is deleted");
             }
-            Err(error) => tracing::warn!(%error, delivery = %claim.id, "the end of a callback could not be stored; its lease will lapse"),
+            Err(error) => tracing::warn!(%error, delivery = %claim.id, "the end of a delivery could not be stored; its lease will lapse"),
         }
     }
 
     /// Sends; returns what became of it, or `None` where there is nothing to settle.
     async fn attempt(&self, claim: &DeliveryClaim) -> Option<Settled> {
+        let failure = match claim.kind {
+            DeliveryKind::Callback => self.tell(claim).await?,
+            DeliveryKind::Result => {
+                let sent = self.settings.results.as_ref()?.send(&self.settings.sender, &self.store, claim.job, &claim.url).await;
+                sent.err().as_ref().map(Failure::from)
+            }
+        };
+        Some(self.judge(claim, failure))
+    }
+
+    /// Tells of a job's end; returns why that failed, if it did.
+    async fn tell(&self, claim: &DeliveryClaim) -> Option<Option<Failure>> {
+        let (signer, body) = self.settings.callbacks.as_ref()?;
         let job = match self.store.get(claim.job).await {
             Ok(job) => job?, // deleted with its deliveries
             Err(error) => {
@@ -167,36 +189,66 @@ impl Courier {
                 return None;
             }
         };
-        let body = (self.settings.body)(&job);
+        let body = body(&job);
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
-        let headers = [("ventricle-delivery", claim.id.to_string()), ("ventricle-signature", self.settings.signer.sign(now_s, &body))];
-        let sent = self.settings.sender.post(&claim.url, &headers, body).await;
-        Some(self.judge(claim, sent))
+        let headers = [("ventricle-delivery", claim.id.to_string()), ("ventricle-signature", signer.sign(now_s, &body))];
+        let message = Message { media_type: "application/json", headers: &headers, body, answer_bytes: 0 };
+        Some(match self.settings.sender.post(&claim.url, message).await {
+            Ok(Answer { status: 200..=299, .. }) => None,
+            Ok(Answer { status, retry_after, .. }) => {
+                Some(Failure { wanted: retry_after, why: format!("status {status}"), refused: false })
+            }
+            Err(error) => Some(Failure::from(&error)),
+        })
     }
 
-    fn judge(&self, claim: &DeliveryClaim, sent: Result<Answer, SendError>) -> Settled {
-        let (wanted, why, refused) = match sent {
-            Ok(Answer { status: 200..=299, .. }) => {
-                tracing::info!(delivery = %claim.id, job = %claim.job, attempt = claim.attempt, "callback delivered");
-                count("delivered");
-                return Settled::Delivered;
-            }
-            Ok(Answer { status, retry_after }) => (retry_after, format!("status {status}"), false),
-            Err(error) => (None, error.to_string().chars().take(LONGEST_REASON).collect(), error.is_refusal()),
+    fn judge(&self, claim: &DeliveryClaim, failure: Option<Failure>) -> Settled {
+        let (delivery, job, attempt, kind) = (claim.id, claim.job, claim.attempt, claim.kind.name());
+        let Some(Failure { wanted, why, refused }) = failure else {
+            tracing::info!(%delivery, %job, kind, attempt, "delivered");
+            count(claim.kind, "delivered");
+            return Settled::Delivered;
         };
-        let (delivery, job, attempt) = (claim.id, claim.job, claim.attempt);
         let Some(after) = self.settings.schedule.pause(delivery, attempt, wanted) else {
-            tracing::error!(%delivery, %job, attempt, why, "callback given up");
-            count("given_up");
+            tracing::error!(%delivery, %job, kind, attempt, why, "delivery given up");
+            count(claim.kind, "given_up");
             return Settled::GivenUp { why };
         };
-        tracing::warn!(%delivery, %job, attempt, why, again_in_s = after.as_secs(), "callback not delivered");
-        count(if refused { "refused" } else { "failed" });
+        tracing::warn!(%delivery, %job, kind, attempt, why, again_in_s = after.as_secs(), "not delivered");
+        count(claim.kind, if refused { "refused" } else { "failed" });
         Settled::Again { after, why }
     }
 }
 
+/// Why an attempt failed.
+struct Failure {
+    /// When the receiver wants to be asked again.
+    wanted: Option<Duration>,
+    why: String,
+    /// Whether the rules forbade it.
+    refused: bool,
+}
+
+impl From<&SendError> for Failure {
+    fn from(error: &SendError) -> Self {
+        Self { wanted: None, why: short(error), refused: error.is_refusal() }
+    }
+}
+
+impl From<&ResultError> for Failure {
+    fn from(error: &ResultError) -> Self {
+        Self { wanted: error.retry_after(), why: short(error), refused: error.is_refusal() }
+    }
+}
+
+fn short(error: &impl std::fmt::Display) -> String {
+    error.to_string().chars().take(LONGEST_REASON).collect()
+}
+
 /// Counts an attempt by how it ended.
-fn count(outcome: &'static str) {
-    metrics::counter!("ventricle_callbacks_total", "outcome" => outcome).increment(1);
+fn count(kind: DeliveryKind, outcome: &'static str) {
+    match kind {
+        DeliveryKind::Callback => metrics::counter!("ventricle_callbacks_total", "outcome" => outcome).increment(1),
+        DeliveryKind::Result => metrics::counter!("ventricle_results_sent_total", "outcome" => outcome).increment(1),
+    }
 }

@@ -1,4 +1,5 @@
-//! Who is told when a job ends: a signed POST to the URL that a client or the operator gave.
+//! Who is told when a job ends: a signed POST to the URL that a client or the operator gave. And where results go, by the same rules and the
+//! same schedule.
 //!
 //! A row of `deliveries` is written in the transaction that ends the job ([`crate::jobs`]); here it is claimed, sent and settled. A URL is
 //! a wish of someone else that this service connects somewhere, so that where it may connect is decided here, on the very address that is
@@ -10,13 +11,16 @@
 //! | `allow.rs` | what the operator allows nevertheless |
 //! | `target.rs` | a URL, checked |
 //! | `signature.rs` | how a receiver knows who sent it |
-//! | `send.rs` | one request over one connection |
+//! | `send.rs` | one connection, and one request over it |
+//! | `destination.rs`, `results.rs` | where results go; how one is sent by STOW-RS or C-STORE |
 //! | `schedule.rs` | when it is tried again |
 //! | `deliver.rs` | who claims, sends and settles |
 
 mod address;
 mod allow;
 mod deliver;
+mod destination;
+mod results;
 mod schedule;
 mod send;
 mod signature;
@@ -24,6 +28,8 @@ mod target;
 
 pub use allow::{AllowError, Allowed};
 pub use deliver::{Body, Deliveries, DeliverySettings, start};
+pub use destination::{Destination, DestinationError};
+pub use results::{Document, Results};
 pub use schedule::Schedule;
 pub use send::{RootsError, Sender};
 pub use signature::Signer;

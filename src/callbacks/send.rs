@@ -1,4 +1,4 @@
-//! One request over one connection: resolve, check, connect to what was checked, TLS, POST, status.
+//! One connection, and one request over it: resolve, check, connect to what was checked, TLS, POST, status.
 //!
 //! A client library would follow redirects, read proxies from the environment, resolve names by itself and keep connections; each of these
 //! would have to be switched off, and a rule that is not in the path of every connection can be gone around. Here there is one path.
@@ -7,7 +7,7 @@ use super::{
     allow::Allowed,
     target::{Target, TargetError},
 };
-use http_body_util::{BodyExt as _, Full};
+use http_body_util::{BodyExt as _, Full, Limited};
 use hyper::{
     Request,
     body::{Bytes, Incoming},
@@ -42,7 +42,7 @@ use url::Host;
 const CONNECT_TIME: Duration = Duration::from_secs(5);
 /// Time for everything, to the head of the answer.
 pub(super) const WHOLE_TIME: Duration = Duration::from_secs(15);
-/// Time for the body of the answer, which nobody needs: it is read so that the receiver can send it without an error.
+/// Time for the body of an answer that nobody needs: it is read so that the receiver can send it without an error.
 const BODY_TIME: Duration = Duration::from_secs(1);
 /// Most bytes read of it.
 const MOST_BODY_BYTES: usize = 4 << 10;
@@ -67,14 +67,26 @@ pub struct RootsError {
 #[derive(Clone)]
 pub struct Sender {
     allowed: Arc<Allowed>,
-    tls: TlsConnector,
+    /// Absent where nothing is sent over TLS.
+    tls: Option<TlsConnector>,
+}
+
+/// What is posted.
+pub(super) struct Message<'a> {
+    pub(super) media_type: &'a str,
+    pub(super) headers: &'a [(&'static str, String)],
+    pub(super) body: Vec<u8>,
+    /// Most bytes of the answer's body that are wanted.
+    pub(super) answer_bytes: usize,
 }
 
 /// What a receiver answered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Answer {
     pub(super) status: u16,
     pub(super) retry_after: Option<Duration>,
+    /// As much of it as was wanted.
+    pub(super) body: Bytes,
 }
 
 /// Why there is no answer. Nothing here holds the URL's path or query.
@@ -94,6 +106,8 @@ pub(super) enum SendError {
     Http(#[from] hyper::Error),
     #[error("the request cannot be written: {0}")]
     Request(#[from] hyper::http::Error),
+    #[error("the answer is longer than {0} bytes, or was cut off")]
+    Answer(usize),
     #[error("not within {} s", .0.as_secs())]
     Time(Duration),
 }
@@ -123,24 +137,41 @@ impl Sender {
             .with_root_certificates(roots)
             .with_no_client_auth();
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
-        Ok(Self { allowed, tls: TlsConnector::from(Arc::new(config)) })
+        Ok(Self { allowed, tls: Some(TlsConnector::from(Arc::new(config))) })
     }
 
-    /// Posts JSON once.
-    pub(super) async fn post(&self, url: &str, headers: &[(&'static str, String)], body: Vec<u8>) -> Result<Answer, SendError> {
+    /// Sends nothing over TLS, and needs no authorities.
+    pub fn without_tls(allowed: Arc<Allowed>) -> Self {
+        Self { allowed, tls: None }
+    }
+
+    /// What the operator allows.
+    pub(super) fn allowed(&self) -> &Allowed {
+        &self.allowed
+    }
+
+    /// Posts once.
+    pub(super) async fn post(&self, url: &str, message: Message<'_>) -> Result<Answer, SendError> {
         let target = Target::parse(url, &self.allowed)?;
-        let request = request(&target, headers, body)?;
-        timeout(WHOLE_TIME, self.exchange(&target, request)).await.unwrap_or(Err(SendError::Time(WHOLE_TIME)))
+        timeout(WHOLE_TIME, self.exchange(&target, message)).await.unwrap_or(Err(SendError::Time(WHOLE_TIME)))
     }
 
-    async fn exchange(&self, target: &Target, request: Request<Full<Bytes>>) -> Result<Answer, SendError> {
-        let connecting = async { connect(&self.permitted(target).await?).await };
-        let stream = timeout(CONNECT_TIME, connecting).await.unwrap_or(Err(SendError::Time(CONNECT_TIME)))?;
+    async fn exchange(&self, target: &Target, message: Message<'_>) -> Result<Answer, SendError> {
+        let answer_bytes = message.answer_bytes;
+        let request = request(target, message)?;
+        let stream = self.connect(target).await?;
         if !target.secure {
-            return exchange(stream, request).await;
+            return exchange(stream, request, answer_bytes).await;
         }
-        let stream = self.tls.connect(server_name(&target.host)?, stream).await.map_err(SendError::Tls)?;
-        exchange(stream, request).await
+        let tls = self.tls.as_ref().ok_or_else(|| SendError::Tls(io::Error::other("no certificate authorities were read at the start")))?;
+        let stream = tls.connect(server_name(&target.host)?, stream).await.map_err(SendError::Tls)?;
+        exchange(stream, request, answer_bytes).await
+    }
+
+    /// A connection to the target: to an address that was checked.
+    pub(super) async fn connect(&self, target: &Target) -> Result<TcpStream, SendError> {
+        let connecting = async { connect(&self.permitted(target).await?).await };
+        timeout(CONNECT_TIME, connecting).await.unwrap_or(Err(SendError::Time(CONNECT_TIME)))
     }
 
     /// The addresses of the target that may be connected to, at least one. What is connected to are these very addresses: the name is not
@@ -186,18 +217,18 @@ fn server_name(host: &Host<String>) -> Result<ServerName<'static>, SendError> {
     })
 }
 
-fn request(target: &Target, headers: &[(&'static str, String)], body: Vec<u8>) -> Result<Request<Full<Bytes>>, SendError> {
+fn request(target: &Target, message: Message<'_>) -> Result<Request<Full<Bytes>>, SendError> {
     let request = Request::post(&target.path)
         .header(header::HOST, &target.authority)
         .header(header::USER_AGENT, concat!("ventricle/", env!("CARGO_PKG_VERSION")))
-        .header(header::CONTENT_TYPE, "application/json")
+        .header(header::CONTENT_TYPE, message.media_type)
         .header(header::CONNECTION, "close");
-    let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
-    Ok(request.body(Full::new(body.into()))?)
+    let request = message.headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
+    Ok(request.body(Full::new(message.body.into()))?)
 }
 
-/// Sends the request over the stream and reads the head of the answer.
-async fn exchange<S>(stream: S, request: Request<Full<Bytes>>) -> Result<Answer, SendError>
+/// Sends the request over the stream and reads the head of the answer, and its body if it is wanted.
+async fn exchange<S>(stream: S, request: Request<Full<Bytes>>, answer_bytes: usize) -> Result<Answer, SendError>
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
@@ -207,13 +238,17 @@ where
     let mut driving = JoinSet::new();
     driving.spawn(connection);
     let response = sender.send_request(request).await?;
-    let answer = Answer {
-        status: response.status().as_u16(),
-        retry_after: response.headers().get(header::RETRY_AFTER).and_then(|value| value.to_str().ok()).and_then(retry_after),
+    let status = response.status().as_u16();
+    let retry_after = response.headers().get(header::RETRY_AFTER).and_then(|value| value.to_str().ok()).and_then(retry_after);
+    let body = if answer_bytes > 0 {
+        let collected = Limited::new(response.into_body(), answer_bytes).collect().await;
+        collected.map_err(|_| SendError::Answer(answer_bytes))?.to_bytes()
+    } else {
+        // In time or not: the answer is known.
+        let _ = timeout(BODY_TIME, discard(response.into_body())).await;
+        Bytes::new()
     };
-    // In time or not: the answer is known.
-    let _ = timeout(BODY_TIME, discard(response.into_body())).await;
-    Ok(answer)
+    Ok(Answer { status, retry_after, body })
 }
 
 /// Reads the beginning of a body and forgets it.

@@ -11,7 +11,7 @@ use super::{
 use crate::{
     archive::{self, Finished},
     export::stl,
-    jobs::{Blob, work},
+    jobs::{Blob, Store, work},
     pipeline::Surface,
 };
 use axum::{
@@ -40,7 +40,7 @@ use uuid::Uuid;
 )]
 pub(super) async fn sr(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, archive::sr::MEDIA_TYPE)?;
-    let document = archive::sr::write(&finished(&state, id, "sr.dcm").await?)?;
+    let document = archive::sr::write(&finished(&state.store, id, "sr.dcm").await?)?;
     Ok(send(&headers, Blob::new(archive::sr::MEDIA_TYPE, document)))
 }
 
@@ -62,7 +62,7 @@ pub(super) async fn sr(State(state): State<AppState>, Id(id): Id, headers: Heade
 )]
 pub(super) async fn fhir(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     let media_type = negotiate::first_acceptable(&headers, &archive::fhir::MEDIA_TYPES)?;
-    let bundle = archive::fhir::write(&finished(&state, id, "fhir").await?)?;
+    let bundle = archive::fhir::write(&finished(&state.store, id, "fhir").await?)?;
     let vary = [(header::VARY, "accept")];
     Ok((vary, send(&headers, Blob::new(media_type, bundle))).into_response())
 }
@@ -167,6 +167,12 @@ pub(super) async fn epicardial_stl_dicom(
     stl_dicom(&state, id, gate, Surface::Epicardial, &headers).await
 }
 
+/// The structured report, to be sent by itself; or why there is none.
+pub(super) async fn document(store: &Store, id: Uuid) -> Result<Vec<u8>, String> {
+    let finished = finished(store, id, "sr.dcm").await.map_err(|problem| problem.detail)?;
+    archive::sr::write(&finished).map_err(|error| error.to_string())
+}
+
 async fn plain_stl(state: &AppState, id: Uuid, gate: u32, surface: Surface, headers: &HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(headers, archive::stl::MEDIA_TYPE)?;
     let stl = stored_surface(state, id, gate, surface, "stl").await?;
@@ -176,7 +182,7 @@ async fn plain_stl(state: &AppState, id: Uuid, gate: u32, surface: Surface, head
 async fn stl_dicom(state: &AppState, id: Uuid, gate: u32, surface: Surface, headers: &HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(headers, archive::sr::MEDIA_TYPE)?;
     let stl = stored_surface(state, id, gate, surface, "stl.dcm").await?;
-    let document = archive::stl::write(&finished(state, id, "report").await?, surface, gate as usize, &stl)?;
+    let document = archive::stl::write(&finished(&state.store, id, "report").await?, surface, gate as usize, &stl)?;
     Ok(send(headers, Blob::new(archive::sr::MEDIA_TYPE, document)))
 }
 
@@ -184,24 +190,24 @@ async fn stl_dicom(state: &AppState, id: Uuid, gate: u32, surface: Surface, head
 async fn stored_surface(state: &AppState, id: Uuid, gate: u32, surface: Surface, form: &str) -> Result<stl::Stl, Problem> {
     match state.store.blob(id, &work::surface_name(gate as usize, surface)).await? {
         Some(glb) => Ok(stl::of_glb(&glb.data)?),
-        None => Err(missing(state, id, &format!("gates/{gate}/{}.{form}", surface.name())).await?),
+        None => Err(missing(&state.store, id, &format!("gates/{gate}/{}.{form}", surface.name())).await?),
     }
 }
 
 /// What results are made from, or why there are none.
-async fn finished(state: &AppState, id: Uuid, name: &str) -> Result<Finished, Problem> {
-    let (Some(report), Some(job)) = (state.store.blob(id, work::REPORT).await?, state.store.get(id).await?) else {
-        return Err(missing(state, id, name).await?);
+async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
+    let (Some(report), Some(job)) = (store.blob(id, work::REPORT).await?, store.get(id).await?) else {
+        return Err(missing(store, id, name).await?);
     };
     let report = serde_json::from_slice(&report.data).map_err(|error| {
         tracing::error!(%error, %id, "a stored report cannot be read");
         Problem::internal()
     })?;
-    let subject = state.store.subject(id).await?;
+    let subject = store.subject(id).await?;
     Ok(Finished { id, finished_at: job.finished_at.unwrap_or(job.created_at), report, subject })
 }
 
-async fn missing(state: &AppState, id: Uuid, name: &str) -> Result<Problem, Problem> {
-    let job = state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
+async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
+    let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     Ok(Problem::no_result(&job, name))
 }

@@ -1,11 +1,15 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, listener, router, views};
+use super::{AppState, archived, listener, router, views};
 use crate::{
     assembly,
-    callbacks::{self, AllowError, Allowed, Deliveries, DeliverySettings, RootsError, Rules, Sender, Signer, TargetError},
+    callbacks::{
+        self, AllowError, Allowed, Deliveries, DeliverySettings, Destination, DestinationError, Document, Results, RootsError, Rules,
+        Sender, Signer, TargetError,
+    },
     codecs::Decoder,
     config::{self, ConfigError, ServeSettings},
+    dimse, intake,
     jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
 };
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
@@ -40,6 +44,12 @@ pub enum ServeError {
     /// `--callback-url` may not be called.
     #[error("The URL of --callback-url {0}")]
     CallbackUrl(#[from] TargetError),
+    /// Results may not be sent where `--results-to` says.
+    #[error("The address of --results-to {0}")]
+    ResultsTo(#[from] DestinationError),
+    /// Certificate and key of DICOM associations cannot be used.
+    #[error(transparent)]
+    DimseTls(#[from] dimse::TlsError),
     /// The address is taken or not ours.
     #[error("Cannot listen on {address}: {source}.")]
     Listen {
@@ -56,11 +66,13 @@ pub enum ServeError {
 /// A running service.
 pub struct Running {
     address: SocketAddr,
+    dimse_address: Option<SocketAddr>,
     draining: CancellationToken,
     closing: CancellationToken,
     listener: JoinHandle<()>,
     workers: Arc<Workers>,
     deliveries: Option<Deliveries>,
+    dimse: Option<dimse::Listener>,
     _assembly: assembly::Watch,
     store: Store,
     drain_time: Duration,
@@ -72,7 +84,12 @@ impl Running {
         self.address
     }
 
-    /// Stops it in order: refuses new work and ends waiting answers, lets workers finish or give back what they have, closes the listener and
+    /// Where it listens for DICOM associations, if it does.
+    pub fn dimse_address(&self) -> Option<SocketAddr> {
+        self.dimse_address
+    }
+
+    /// Stops it in order: refuses new work and ends waiting answers, lets workers finish or give back what they have, closes the listeners and
     /// the store.
     pub async fn stop(self) -> Result<(), ServeError> {
         self.draining.cancel();
@@ -85,7 +102,13 @@ impl Running {
         }
         self.closing.cancel();
         let abort = self.listener.abort_handle();
-        match tokio::time::timeout(LAST_ANSWERS, self.listener).await {
+        let associations = async {
+            if let Some(dimse) = &self.dimse {
+                dimse.stop(LAST_ANSWERS).await;
+            }
+        };
+        let (ended, ()) = tokio::join!(tokio::time::timeout(LAST_ANSWERS, self.listener), associations);
+        match ended {
             Ok(ended) => ended.map_err(io::Error::other)?,
             Err(_) => abort.abort(),
         }
@@ -98,21 +121,34 @@ impl Running {
 pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<Running, ServeError> {
     settings.validate()?;
     // The address first: with a wrong one nothing else should have begun.
-    let listener = TcpListener::bind(settings.listen).await.map_err(|source| ServeError::Listen { address: settings.listen, source })?;
+    let listener = bind(settings.listen).await?;
     let address = listener.local_addr()?;
-    let callbacks = callbacks(settings)?;
+    let dimse_listener = match settings.dimse_listen {
+        Some(address) => Some((bind(address).await?, tls(settings)?)),
+        None => None,
+    };
+    let dimse_address = dimse_listener.as_ref().map(|(listener, _)| listener.local_addr()).transpose()?;
+    let outward = outward(settings)?;
     let store = Store::open(store_settings(settings)).await?;
     let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
     let mut state = state(settings, &store, &workers);
-    let mut deliveries = None;
-    if let Some((rules, settings)) = callbacks {
+    if let Some(rules) = outward.rules {
         state = state.with_callbacks(rules);
-        deliveries = Some(callbacks::start(store.clone(), settings));
     }
+    let deliveries = outward.deliveries.map(|settings| callbacks::start(store.clone(), settings));
     let assembly = state.assembler().watch();
     let (draining, closing) = (state.draining(), CancellationToken::new());
+    let dimse = dimse_listener.map(|(listener, tls)| {
+        let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), tls);
+        dimse::start(listener, settings, state.assembler(), draining.clone())
+    });
     let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
-    Ok(Running { address, draining, closing, listener, workers, deliveries, _assembly: assembly, store, drain_time: settings.drain_time() })
+    let drain_time = settings.drain_time();
+    Ok(Running { address, dimse_address, draining, closing, listener, workers, deliveries, dimse, _assembly: assembly, store, drain_time })
+}
+
+async fn bind(address: SocketAddr) -> Result<TcpListener, ServeError> {
+    TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
 }
 
 /// Runs the service until SIGTERM or SIGINT, then stops it in order.
@@ -120,7 +156,8 @@ pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
     // Before the first job: a signal during the start must not end the process half way.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     let running = start(&settings, worker_settings(&settings)).await?;
-    println!("ventricle {} listens on http://{}", env!("CARGO_PKG_VERSION"), running.address());
+    let dimse = running.dimse_address().map(|address| format!("\nlistens on dicom://{}@{address}", settings.dimse_ae_title));
+    println!("ventricle {} listens on http://{}{}", env!("CARGO_PKG_VERSION"), running.address(), dimse.unwrap_or_default());
     tokio::select! {
         _ = terminate.recv() => {}
         _ = interrupt.recv() => {}
@@ -148,19 +185,66 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         lease: settings.lease(),
         connections: settings.database_connections,
         retention: settings.retention(),
+        results_to: settings.results_to.clone(),
         ..StoreSettings::default()
     }
 }
 
-/// How a service with these settings tells of jobs' ends; `None` without a secret.
-fn callbacks(settings: &ServeSettings) -> Result<Option<(Rules, DeliverySettings)>, ServeError> {
-    let Some(secret) = settings.callback_secret()? else { return Ok(None) };
+/// What a service with these settings sends outward.
+struct Outward {
+    /// Which callbacks clients may ask for; `None` without a secret.
+    rules: Option<Rules>,
+    /// Who delivers; `None` where there is nothing to deliver.
+    deliveries: Option<DeliverySettings>,
+}
+
+fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
+    let secret = settings.callback_secret()?;
     let allowed = Arc::new(Allowed::parse(settings.callback_allow.iter().map(String::as_str))?);
-    let signer = Signer::new(secret.expose()).map_err(io::Error::other)?;
-    let sender = Sender::new(Arc::clone(&allowed), &settings.callback_ca_file)?;
-    let mut rules = Rules { allowed, default_url: None };
-    rules.default_url = rules.url(settings.callback_url.as_ref().map(|url| url.expose().to_owned()))?;
-    Ok(Some((rules, DeliverySettings::new(sender, signer, Arc::new(views::callback_body)))))
+    let destination = settings.results_to.as_deref().map(|text| Destination::parse(text, &allowed)).transpose()?;
+    if secret.is_none() && destination.is_none() {
+        return Ok(Outward { rules: None, deliveries: None });
+    }
+    let sender = match (&secret, &destination) {
+        (None, Some(Destination::Store { .. })) => Sender::without_tls(Arc::clone(&allowed)),
+        _ => Sender::new(Arc::clone(&allowed), &settings.callback_ca_file)?,
+    };
+    let mut rules = None;
+    let mut callbacks: Option<(Signer, callbacks::Body)> = None;
+    if let Some(secret) = secret {
+        let mut own = Rules { allowed, default_url: None };
+        own.default_url = own.url(settings.callback_url.as_ref().map(|url| url.expose().to_owned()))?;
+        rules = Some(own);
+        callbacks = Some((Signer::new(secret.expose()).map_err(io::Error::other)?, Arc::new(views::callback_body)));
+    }
+    let document: Document = Arc::new(|store, id| Box::pin(async move { archived::document(&store, id).await }));
+    let calling = dimse::Title::parse(&settings.dimse_ae_title).ok_or_else(|| io::Error::other("the AE title is none"))?;
+    let results = destination.map(|_| Results { document, calling });
+    Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
+}
+
+/// Certificate and key of DICOM associations, if they are to be encrypted.
+fn tls(settings: &ServeSettings) -> Result<Option<dimse::Acceptor>, ServeError> {
+    Ok(match (&settings.dimse_tls_cert, &settings.dimse_tls_key) {
+        (Some(certificates), Some(key)) => Some(dimse::acceptor(certificates, key)?),
+        _ => None,
+    })
+}
+
+/// How a service with these settings takes DICOM associations.
+fn dimse_settings(
+    settings: &ServeSettings,
+    transfer_syntaxes: Vec<intake::TransferSyntax>,
+    tls: Option<dimse::Acceptor>,
+) -> dimse::Settings {
+    dimse::Settings {
+        callers: settings.dimse_calling_ae.clone(),
+        transfer_syntaxes,
+        associations: settings.dimse_max_associations.into(),
+        object_bytes: settings.max_body_bytes() as usize,
+        object_time: Duration::from_secs(settings.upload_seconds),
+        tls,
+    }
 }
 
 /// The workers a service with these settings has.

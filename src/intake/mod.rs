@@ -14,7 +14,7 @@ mod npy;
 mod prescan;
 mod sniff;
 
-pub use dicom::{Holds, Instance, Refused, examine};
+pub use dicom::{Holds, Instance, Refused, STORAGE_CLASSES, TransferSyntax, examine, transfer_syntaxes};
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;
 

@@ -1,4 +1,4 @@
-//! The rows of what is to be told when a job ended: claim, settle. They are written in `ending.rs` and go with their job.
+//! The rows of what is to be told, or sent, when a job ended: claim, settle. They are written in `ending.rs` and go with their job.
 //!
 //! As with jobs, the attempt is counted at the claim and named when it is settled: an attempt whose lease is over changes nothing.
 
@@ -11,6 +11,33 @@ use super::{
 use std::time::Duration;
 use uuid::Uuid;
 
+/// What is delivered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DeliveryKind {
+    /// The news that a job ended.
+    Callback,
+    /// The result of a job that succeeded.
+    Result,
+}
+
+impl DeliveryKind {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Callback, Self::Result];
+
+    /// As the rows have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Callback => "callback",
+            Self::Result => "result",
+        }
+    }
+
+    fn parse(name: &str) -> Result<Self, StoreError> {
+        let kind = Self::ALL.into_iter().find(|kind| kind.name() == name);
+        kind.ok_or_else(|| StoreError::Damaged { what: format!("a delivery of the kind {name}") })
+    }
+}
+
 /// A delivery held by this node.
 #[derive(Clone, PartialEq, Eq)]
 pub struct DeliveryClaim {
@@ -18,6 +45,8 @@ pub struct DeliveryClaim {
     pub id: Uuid,
     /// The job it tells of.
     pub job: Uuid,
+    /// What it is.
+    pub kind: DeliveryKind,
     /// Where it goes.
     pub url: String,
     /// The fencing token, from 1.
@@ -27,7 +56,12 @@ pub struct DeliveryClaim {
 impl std::fmt::Debug for DeliveryClaim {
     /// Without the URL, which may hold what only the receiver should know.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("DeliveryClaim").field("id", &self.id).field("attempt", &self.attempt).finish_non_exhaustive()
+        formatter
+            .debug_struct("DeliveryClaim")
+            .field("id", &self.id)
+            .field("kind", &self.kind)
+            .field("attempt", &self.attempt)
+            .finish_non_exhaustive()
     }
 }
 
@@ -57,6 +91,8 @@ pub enum Settled {
 pub struct Delivery {
     /// The delivery.
     pub id: Uuid,
+    /// What it is.
+    pub kind: DeliveryKind,
     /// `pending`, `delivered` or `given_up`.
     pub state: String,
     /// How often it was claimed.
@@ -66,21 +102,24 @@ pub struct Delivery {
 }
 
 impl Store {
-    /// Takes the delivery that is due for longest, if any, and counts the attempt. Nobody else gets it for the time of the lease.
-    pub async fn claim_delivery(&self, lease: Duration) -> Result<Option<DeliveryClaim>, StoreError> {
+    /// Takes the delivery of these kinds that is due for longest, if any, and counts the attempt. Nobody else gets it for the time of the lease.
+    pub async fn claim_delivery(&self, kinds: &[DeliveryKind], lease: Duration) -> Result<Option<DeliveryClaim>, StoreError> {
         let sql = "UPDATE deliveries SET attempts = attempts + 1, lease_until = {now} + $1
             WHERE state = 'pending' AND id = (
                 SELECT id FROM deliveries
-                WHERE state = 'pending' AND run_after <= {now} AND (lease_until IS NULL OR lease_until < {now})
+                WHERE state = 'pending' AND run_after <= {now} AND (lease_until IS NULL OR lease_until < {now}) AND kind IN ($2, $3)
                 ORDER BY run_after, id LIMIT 1 {skip_locked}
             )
-            RETURNING id, job_id, url, attempts";
-        let Some(row) = self.inner.database.fetch_one(sql, values![milliseconds(lease)]).await? else { return Ok(None) };
+            RETURNING id, job_id, url, attempts, kind";
+        let wanted = |kind: DeliveryKind| if kinds.contains(&kind) { kind.name() } else { "" };
+        let values = values![milliseconds(lease), wanted(DeliveryKind::Callback), wanted(DeliveryKind::Result)];
+        let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(None) };
         Ok(Some(DeliveryClaim {
             id: parse_id(&row.get::<String>(0)?)?,
             job: parse_id(&row.get::<String>(1)?)?,
             url: row.get(2)?,
             attempt: row.get(3)?,
+            kind: DeliveryKind::parse(&row.get::<String>(4)?)?,
         }))
     }
 
@@ -102,9 +141,15 @@ impl Store {
 
     /// What became of telling of a job's end.
     pub async fn deliveries(&self, job: Uuid) -> Result<Vec<Delivery>, StoreError> {
-        let sql = "SELECT id, state, attempts, last_error FROM deliveries WHERE job_id = $1 ORDER BY id";
+        let sql = "SELECT id, state, attempts, last_error, kind FROM deliveries WHERE job_id = $1 ORDER BY id";
         let read = |row: &Row| {
-            Ok(Delivery { id: parse_id(&row.get::<String>(0)?)?, state: row.get(1)?, attempts: row.get(2)?, last_error: row.get(3)? })
+            Ok(Delivery {
+                id: parse_id(&row.get::<String>(0)?)?,
+                state: row.get(1)?,
+                attempts: row.get(2)?,
+                last_error: row.get(3)?,
+                kind: DeliveryKind::parse(&row.get::<String>(4)?)?,
+            })
         };
         self.inner.database.fetch(sql, values![job]).await?.iter().map(read).collect()
     }

@@ -1,8 +1,9 @@
-//! What follows when a job reaches its final state, in the same transaction: its input goes, and whom it is of if there is no result, its time to be kept begins, and whoever
-//! asked for it will be told.
+//! What follows when a job reaches its final state, in the same transaction: its input goes, and whom it is of if there is no result, its time
+//! to be kept begins, whoever asked for it will be told, and its result will be sent where results go.
 
 use super::{
     database::{Transaction, values},
+    deliveries::DeliveryKind,
     error::StoreError,
     store::{INPUT, SUBJECT, Store},
 };
@@ -29,7 +30,13 @@ impl Store {
             "INSERT INTO deliveries (id, job_id, url, state, run_after, created_at)
             SELECT $2, id, callback_url, 'pending', {now}, {now} FROM jobs WHERE id = $1 AND callback_url IS NOT NULL",
         );
-        transaction.execute(&sql, values![id, Uuid::now_v7()]).await.map(drop)
+        transaction.execute(&sql, values![id, Uuid::now_v7()]).await?;
+        let Some(results_to) = &self.inner.settings.results_to else { return Ok(()) };
+        let sql = self.inner.database.render(
+            "INSERT INTO deliveries (id, job_id, url, kind, state, run_after, created_at)
+            SELECT $2, id, $3, $4, 'pending', {now}, {now} FROM jobs WHERE id = $1 AND state = 'succeeded'",
+        );
+        transaction.execute(&sql, values![id, Uuid::now_v7(), results_to.as_str(), DeliveryKind::Result.name()]).await.map(drop)
     }
 }
 

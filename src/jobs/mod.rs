@@ -46,7 +46,7 @@ mod watch;
 pub mod work;
 mod worker;
 
-pub use deliveries::{Delivery, DeliveryClaim, Settled};
+pub use deliveries::{Delivery, DeliveryClaim, DeliveryKind, Settled};
 pub use error::{QueueFull, StoreError, SubmitError};
 pub use inbox::{Filed, Members, NewInstance, Series, StoredInstance};
 pub use job::{ANONYMOUS, Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};

@@ -47,6 +47,8 @@ pub struct StoreSettings {
     pub keep_input: bool,
     /// How long a finished job and its results are kept if the job does not say; `None`: until they are deleted.
     pub retention: Option<Duration>,
+    /// Where the result of every job that succeeds is sent, if anywhere.
+    pub results_to: Option<String>,
     /// How long to wait for another process to leave the data directory.
     pub directory_wait: Duration,
     /// How often changes made by other processes are looked for while waiting.
@@ -72,6 +74,7 @@ impl Default for StoreSettings {
             retry_pause: Duration::from_secs(4),
             keep_input: false,
             retention: None,
+            results_to: None,
             // A service manager may start the next process while the last one still closes its files.
             directory_wait: Duration::from_secs(5),
             poll: Duration::from_secs(1),

@@ -44,6 +44,7 @@ const EVERYTHING: &[&str] = &[
     "jobs",
     "callbacks",
     "assembly",
+    "dimse",
     "http",
     "config",
     "telemetry",
@@ -58,6 +59,7 @@ const SERVICE: &[&str] = &[
     "anyhow",
     "axum",
     "clap",
+    "dicom_ul",
     "futures_util",
     "hmac",
     "http_body_util",
@@ -149,10 +151,36 @@ const RULES: &[Rule] = &[
             "utoipa_swagger_ui",
         ]),
     },
+    // It is given its connections: who may be connected to is decided in `callbacks`.
+    Rule {
+        module: "dimse",
+        crate_modules: &["assembly", "elements", "intake", "jobs"],
+        external: External::AllBut(&[
+            "axum",
+            "clap",
+            "glam",
+            "hmac",
+            "http_body_util",
+            "hyper",
+            "hyper_util",
+            "ndarray",
+            "rayon",
+            "sqlx",
+            "std::env",
+            "std::fs",
+            "std::net",
+            "tower",
+            "tower_http",
+            "ureq",
+            "url",
+            "utoipa",
+            "utoipa_axum",
+        ]),
+    },
     // The one module that connects to where a client says: nothing else has an HTTP client or TLS to do so with.
     Rule {
         module: "callbacks",
-        crate_modules: &["jobs"],
+        crate_modules: &["dimse", "jobs"],
         external: External::AllBut(&[
             "axum",
             "clap",
@@ -174,6 +202,7 @@ const RULES: &[Rule] = &[
         external: External::AllBut(&[
             "axum",
             "clap",
+            "dicom_ul",
             "glam",
             "hyper",
             "multer",
@@ -190,6 +219,7 @@ const RULES: &[Rule] = &[
         module: "http",
         crate_modules: EVERYTHING,
         external: External::AllBut(&[
+            "dicom_ul",
             "glam",
             "gltf_json",
             "hayro_jpeg2000",
@@ -205,7 +235,7 @@ const RULES: &[Rule] = &[
             "url",
         ]),
     },
-    Rule { module: "config", crate_modules: &[], external: External::AllBut(&["axum", "sqlx", "tokio"]) },
+    Rule { module: "config", crate_modules: &["dimse"], external: External::AllBut(&["axum", "dicom_ul", "sqlx", "tokio"]) },
     Rule { module: "telemetry", crate_modules: &["config"], external: External::AllBut(&["axum", "sqlx", "std::env"]) },
 ];
 
@@ -270,6 +300,9 @@ fn a_violating_source_is_caught() {
         ("jobs", "use tokio_rustls::TlsConnector;", "tokio_rustls"),
         ("jobs", "use crate::callbacks::Target;", "crate::callbacks"),
         ("callbacks", "use crate::http::views;", "crate::http"),
+        ("dimse", "use crate::callbacks::Target;", "crate::callbacks"),
+        ("dimse", "use std::net::TcpStream;", "std::net"),
+        ("http", "use dicom_ul::pdu::Pdu;", "dicom_ul"),
         ("callbacks", "use ureq::Agent;", "ureq"),
         ("http", "use tokio_rustls::TlsConnector;", "tokio_rustls"),
         ("http", "use ndarray::Array3;", "ndarray"),

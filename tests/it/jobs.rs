@@ -1,6 +1,7 @@
 //! The life of jobs in the store and with workers, on both engines (see `place.rs`).
 
 mod callbacks;
+mod results;
 
 use crate::place::{Place, endless, new_job, on_both_engines, output, study, submit, until, until_state, work, workers};
 use sha2::{Digest, Sha256};

@@ -8,6 +8,7 @@ mod cluster;
 mod codecs;
 mod demo;
 mod dicomweb;
+mod dimse;
 mod encapsulated;
 mod fuzz;
 mod hostile;

@@ -4,7 +4,7 @@ use serde_json::Value;
 use std::{
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, Command, ExitStatus, Stdio},
     time::{Duration, Instant},
 };
 
@@ -12,6 +12,8 @@ use std::{
 pub(crate) struct Served {
     child: Child,
     pub(crate) url: String,
+    /// Port for DICOM associations; 0 if there is none.
+    pub(crate) dimse_port: u16,
     agent: ureq::Agent,
 }
 
@@ -55,12 +57,18 @@ impl Served {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let (mut line, mut stdout) = (String::new(), BufReader::new(child.stdout.take().unwrap()));
+        stdout.read_line(&mut line).unwrap();
+        let mut dimse = String::new();
+        if flags.contains(&"--dimse-listen") {
+            stdout.read_line(&mut dimse).unwrap();
+        }
         let url = line.trim().rsplit(' ').next().unwrap_or_default().to_owned();
         assert!(url.starts_with("http://127.0.0.1:"), "the service said {line:?}");
         let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_mins(1)));
-        Self { child, url, agent: config.build().new_agent() }
+        let dimse_port = dimse.trim().rsplit(':').next().and_then(|port| port.parse().ok()).unwrap_or(0);
+        assert_eq!(dimse_port == 0, dimse.is_empty(), "the service said {dimse:?}");
+        Self { child, url, dimse_port, agent: config.build().new_agent() }
     }
 
     /// Sends the process a signal by name.
@@ -73,6 +81,18 @@ impl Served {
     pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
+    }
+
+    /// The status with which the process ends by itself.
+    pub(crate) fn ended(mut self, within: Duration) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(start.elapsed() < within, "it runs on after {within:?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     pub(crate) fn id(&self) -> u32 {

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk and gdcmconv (libgdcm-tools) for DICOM, strace for
-# what is written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured reports, PostgreSQL for what is stored there.
+# Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
+# (libgdcm-tools) for DICOM, strace for what is written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured
+# reports, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"

@@ -11,6 +11,8 @@ use dicom_dictionary_std::tags;
 pub(super) const NUCLEAR_MEDICINE: &str = "1.2.840.10008.5.1.4.1.1.20";
 /// Retired, and still written by old cameras.
 const NUCLEAR_MEDICINE_RETIRED: &str = "1.2.840.10008.5.1.4.1.1.5";
+/// The storage classes of which objects are read.
+pub const STORAGE_CLASSES: [&str; 2] = [NUCLEAR_MEDICINE, NUCLEAR_MEDICINE_RETIRED];
 
 /// Storage classes by name (PS3.4 B.5 and retired ones), for refusals.
 const CLASSES: [(&str, &str); 42] = [
@@ -73,7 +75,7 @@ pub(super) enum Kind {
 pub(super) fn check(attributes: &Attributes, scan: &Scan<'_>, frames: usize, warnings: &mut Vec<Warning>) -> Result<Kind, IntakeError> {
     let class = attributes.text(tags::SOP_CLASS_UID).or_else(|| scan.media_class.clone());
     let modality = attributes.text(tags::MODALITY);
-    let nuclear = class.as_deref().is_some_and(|uid| uid == NUCLEAR_MEDICINE || uid == NUCLEAR_MEDICINE_RETIRED);
+    let nuclear = class.as_deref().is_some_and(|uid| STORAGE_CLASSES.contains(&uid));
     if !nuclear && modality.as_deref() != Some("NM") {
         let received = match (&class, &modality) {
             (None, None) => {

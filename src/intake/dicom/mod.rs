@@ -17,8 +17,10 @@ mod subject;
 mod syntaxes;
 mod timing;
 
+pub use identity::STORAGE_CLASSES;
 pub use instance::{Instance, Refused, examine};
 pub use parts::Holds;
+pub use syntaxes::{TransferSyntax, transfer_syntaxes};
 
 use super::{IntakeError, Limits, Part, counts};
 use crate::study::{Acquisition, Format, Study, Warning};

@@ -1,6 +1,6 @@
 //! Transfer syntaxes: how the pixel data of each is read, and the names of those that are refused.
 
-use crate::codecs::Codec;
+use crate::{codecs::Codec, intake::Limits};
 
 /// How pixel data is encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +27,22 @@ impl Encoding {
             None => Err(REFUSED.iter().find(|(known, _)| *known == uid).map_or("an encoding unknown here", |(_, name)| name)),
         }
     }
+}
+
+/// A transfer syntax that is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TransferSyntax {
+    /// Its UID.
+    pub uid: &'static str,
+    /// Whether it allows the writer to change values.
+    pub lossy: bool,
+}
+
+/// The transfer syntaxes in which objects are read, within these limits.
+pub fn transfer_syntaxes(limits: &Limits) -> Vec<TransferSyntax> {
+    let read = |encoding: &Encoding| limits.decoder.is_some() || !matches!(encoding, Encoding::Compressed { .. });
+    let syntaxes = READ.iter().filter(|(.., encoding)| read(encoding));
+    syntaxes.map(|(uid, _, encoding)| TransferSyntax { uid, lossy: matches!(encoding, Encoding::Compressed { lossy: true, .. }) }).collect()
 }
 
 const fn lossless(codec: Codec) -> Encoding {

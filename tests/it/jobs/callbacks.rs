@@ -30,7 +30,7 @@ use uuid::Uuid;
 use ventricle::{
     callbacks::{Allowed, Deliveries, DeliverySettings, Schedule, Sender, Signer, start},
     http::callback_body,
-    jobs::{Delivery, JobError, NewJob, Outcome, Settled, Snapshot, Store},
+    jobs::{Delivery, DeliveryKind, JobError, NewJob, Outcome, Settled, Snapshot, Store},
 };
 
 on_both_engines! {
@@ -50,20 +50,20 @@ const STUDY_UID: &str = "1.2.826.0.1.3680043.99";
 
 /// A request as a receiver got it.
 #[derive(Debug, Clone)]
-struct Seen {
-    head: String,
-    body: Vec<u8>,
+pub(super) struct Seen {
+    pub(super) head: String,
+    pub(super) body: Vec<u8>,
 }
 
 impl Seen {
-    fn header(&self, name: &str) -> &str {
+    pub(super) fn header(&self, name: &str) -> &str {
         let lines = self.head.lines().skip(1).filter_map(|line| line.split_once(": "));
         lines.filter(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, value)| value).next().unwrap_or_else(|| panic!("{}", self.head))
     }
 }
 
-/// A receiver that answers what it is told to, the last answer again and again; `None` is no answer at all.
-struct Receiver {
+/// A receiver that answers what it is told to (status and headers, and a body after an empty line), the last answer again and again; `None` is no answer at all.
+pub(super) struct Receiver {
     address: SocketAddr,
     seen: Arc<Mutex<Vec<Seen>>>,
     connections: Arc<AtomicUsize>,
@@ -77,7 +77,7 @@ impl Drop for Receiver {
 }
 
 impl Receiver {
-    async fn new(answers: &[Option<&str>]) -> Self {
+    pub(super) async fn new(answers: &[Option<&str>]) -> Self {
         Self::with(answers, None).await
     }
 
@@ -106,11 +106,11 @@ impl Receiver {
         Self { address, seen, connections, task }
     }
 
-    fn url(&self) -> String {
+    pub(super) fn url(&self) -> String {
         format!("http://{}/done?token=hidden", self.address)
     }
 
-    fn seen(&self) -> Vec<Seen> {
+    pub(super) fn seen(&self) -> Vec<Seen> {
         self.seen.lock().unwrap().clone()
     }
 }
@@ -138,19 +138,20 @@ async fn serve(mut stream: impl AsyncRead + AsyncWrite + Unpin, all: &Mutex<Vec<
         answers.get(all.len() - 1).or(answers.last()).unwrap().clone()
     };
     let Some(answer) = answer else { return std::future::pending().await };
-    let text = format!("HTTP/1.1 {answer}\r\nContent-Length: 2\r\nConnection: close\r\n\r\nok");
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, "ok"));
+    let text = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{body}", body.len());
     let _ = stream.write_all(text.as_bytes()).await;
     let _ = stream.shutdown().await;
 }
 
 /// A certificate for `localhost`, the file that makes it trusted, and a server that has it.
-struct Identity {
+pub(super) struct Identity {
     file: PathBuf,
     tls: TlsAcceptor,
 }
 
 impl Identity {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
         let file = std::env::temp_dir().join(format!("ventricle-roots-{}.pem", Uuid::now_v7()));
         std::fs::write(&file, made.cert.pem()).unwrap();
@@ -172,12 +173,12 @@ impl Drop for Identity {
 }
 
 /// Settings that lose no time, with these places allowed.
-fn settings(allowed: &[&str], trusted: &Identity) -> DeliverySettings {
+pub(super) fn settings(allowed: &[&str], trusted: &Identity) -> DeliverySettings {
     let allowed = Arc::new(Allowed::parse(allowed.iter().copied()).unwrap());
     let sender = Sender::new(allowed, &trusted.file).unwrap();
     let quick = Duration::from_millis(20);
     let schedule = Schedule { attempts: 3, first: quick, factor: 1.0, longest: quick };
-    let usual = DeliverySettings::new(sender, Signer::new(SECRET).unwrap(), Arc::new(callback_body));
+    let usual = DeliverySettings::new(sender, Some((Signer::new(SECRET).unwrap(), Arc::new(callback_body))), None);
     DeliverySettings { schedule, poll: quick, ..usual }
 }
 
@@ -199,7 +200,7 @@ async fn ended(store: &Store, url: String) -> Uuid {
 }
 
 /// The one delivery of a job once it is as wanted.
-async fn delivery(store: &Store, job: Uuid, wanted: impl Fn(&Delivery) -> bool) -> Delivery {
+pub(super) async fn delivery(store: &Store, job: Uuid, wanted: impl Fn(&Delivery) -> bool) -> Delivery {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
         let [delivery] = store.deliveries(job).await.unwrap().try_into().unwrap();
@@ -227,7 +228,7 @@ async fn a_callback_comes_once_and_signed_without_what_belongs_to_the_patient(pl
     let told = delivery(&store, job, |delivery| delivery.state == "delivered").await;
     assert_eq!((told.attempts, told.last_error), (1, None));
     courier.stop(Duration::from_secs(5)).await;
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None);
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None);
     let [seen] = receiver.seen().try_into().unwrap();
     assert!(seen.head.starts_with("POST /done?token=hidden HTTP/1.1"), "{}", seen.head);
     assert!(seen.head.contains("\r\nVentricle-Signature: t="), "as documented, for receivers that compare letters: {}", seen.head);
@@ -357,9 +358,9 @@ async fn a_node_that_stops_gives_back_what_it_has_under_way(place: &Place) {
     let job = ended(&store, receiver.url()).await;
     let courier = start(store.clone(), DeliverySettings { lease: Duration::from_hours(1), ..loopback() });
     until(|| receiver.seen().len() == 1).await;
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None, "it is held");
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None, "it is held");
     courier.stop(Duration::from_millis(20)).await;
-    let claim = store.claim_delivery(Duration::from_secs(1)).await.unwrap().unwrap();
+    let claim = store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap().unwrap();
     assert_eq!((claim.job, claim.attempt), (job, 2));
     assert!(!format!("{claim:?}").contains("hidden"));
 }
@@ -367,9 +368,9 @@ async fn a_node_that_stops_gives_back_what_it_has_under_way(place: &Place) {
 async fn an_attempt_whose_lease_is_over_changes_nothing(place: &Place) {
     let store = place.open().await;
     let job = ended(&store, "https://receiver.example/".to_owned()).await;
-    let first = store.claim_delivery(Duration::from_millis(1)).await.unwrap().unwrap();
+    let first = store.claim_delivery(&DeliveryKind::ALL, Duration::from_millis(1)).await.unwrap().unwrap();
     let second = loop {
-        if let Some(claim) = store.claim_delivery(Duration::from_mins(1)).await.unwrap() {
+        if let Some(claim) = store.claim_delivery(&DeliveryKind::ALL, Duration::from_mins(1)).await.unwrap() {
             break claim;
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
@@ -380,7 +381,7 @@ async fn an_attempt_whose_lease_is_over_changes_nothing(place: &Place) {
     assert_eq!(store.deliveries(job).await.unwrap()[0].state, "pending");
     let again = Settled::Again { after: Duration::from_hours(1), why: "status 500".to_owned() };
     assert!(store.settle_delivery(&second, &again).await.unwrap());
-    assert_eq!(store.claim_delivery(Duration::from_secs(1)).await.unwrap(), None, "not due");
+    assert_eq!(store.claim_delivery(&DeliveryKind::ALL, Duration::from_secs(1)).await.unwrap(), None, "not due");
     assert!(store.settle_delivery(&second, &Settled::Delivered).await.unwrap());
     assert!(!store.settle_delivery(&second, &Settled::Delivered).await.unwrap(), "once is enough");
     store.delete(job).await.unwrap();
@@ -398,7 +399,7 @@ async fn nodes_that_race_never_claim_the_same_delivery(place: &Place) {
             let mut claimed = Vec::new();
             // None may also mean that another holds the one row that was looked at.
             for _ in 0..40 {
-                claimed.extend(store.claim_delivery(Duration::from_mins(1)).await.unwrap().map(|claim| claim.id));
+                claimed.extend(store.claim_delivery(&DeliveryKind::ALL, Duration::from_mins(1)).await.unwrap().map(|claim| claim.id));
             }
             claimed
         })
