@@ -117,7 +117,7 @@ impl Reception {
         let examined = self.assembler.parse(move |settings| examine(bytes.as_ref(), settings)).await;
         let Examined { instance, study } = match examined {
             Ok(Ok(examined)) => examined,
-            Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err(refused.error.into())),
+            Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err((*refused.error).into())),
             Err(error) => return self.answer(None, None, Err(error.into())),
         };
         let names = (Some(instance.class_uid.clone()), Some(instance.instance_uid.clone()));
@@ -125,19 +125,16 @@ impl Reception {
             return self.answer(names.0, names.1, Err(Refusal::OtherStudy));
         }
         let new = self.new_instance(instance);
-        match study {
-            Some(study) => {
-                let submitted = self.submit(study, new).await;
-                self.answer(names.0, names.1, submitted);
-            }
-            None => {
-                self.waiting_bytes += new.data.len();
-                self.waiting.push((self.outcomes.len(), new));
-                self.answer(names.0, names.1, Ok(()));
-                if self.waiting_bytes >= BATCH_BYTES {
-                    self.commit().await;
-                }
-            }
+        if let Some(study) = study {
+            let submitted = self.submit(study, new).await;
+            self.answer(names.0, names.1, submitted);
+            return;
+        }
+        self.waiting_bytes += new.data.len();
+        self.waiting.push((self.outcomes.len(), new));
+        self.answer(names.0, names.1, Ok(()));
+        if self.waiting_bytes >= BATCH_BYTES {
+            self.commit().await;
         }
     }
 
@@ -214,7 +211,7 @@ fn examine(bytes: &[u8], settings: &Settings) -> Result<Examined, intake::Refuse
         let refused = |error| intake::Refused {
             class_uid: Some(instance.class_uid.clone()),
             instance_uid: Some(instance.instance_uid.clone()),
-            error,
+            error: Box::new(error),
         };
         Some(read(&[bytes], settings).map_err(refused)?)
     } else {

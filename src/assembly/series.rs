@@ -45,7 +45,7 @@ impl Assembler {
     async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Uuid>, AssemblyError> {
         // Of a key that no client can send: it has a space.
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
-        let key = format!("dicom series {}", identity.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+        let key = identity.iter().fold("dicom series ".to_owned(), |key, byte| format!("{key}{byte:02x}"));
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
         match self.read_series(series, parts).await? {
             Ok(study) => {

@@ -35,7 +35,7 @@ pub(crate) fn with(bytes: &[u8], changes: &[(Tag, VR, &str)]) -> Vec<u8> {
     for (tag, vr, value) in changes {
         object.put(DataElement::new(*tag, *vr, PrimitiveValue::from(*value)));
     }
-    written(object)
+    written(&object)
 }
 
 /// A file without some of its elements.
@@ -44,7 +44,7 @@ pub(crate) fn without(bytes: &[u8], tags: &[Tag]) -> Vec<u8> {
     for tag in tags {
         object.remove_element(*tag);
     }
-    written(object)
+    written(&object)
 }
 
 pub(crate) fn text_of(bytes: &[u8], tag: Tag) -> String {
@@ -70,7 +70,7 @@ pub(crate) fn slices(whole: &[u8]) -> Vec<Vec<u8>> {
             let text = position.to_array().map(|value| format!("{value:.9}")).join("\\");
             detector.put(DataElement::new(tags::IMAGE_POSITION_PATIENT, VR::DS, PrimitiveValue::from(text.as_str())));
             object.put(DataElement::new(tags::DETECTOR_INFORMATION_SEQUENCE, VR::SQ, DataSetSequence::from(vec![detector])));
-            written(object)
+            written(&object)
         })
         .collect()
 }
@@ -95,10 +95,10 @@ fn cut(whole: &[u8], frames: std::ops::Range<usize>) -> Vec<u8> {
         object.put(element);
     }
     object.meta_mut().media_storage_sop_instance_uid = uid;
-    written(object)
+    written(&object)
 }
 
-fn written(object: DefaultDicomObject) -> Vec<u8> {
+fn written(object: &DefaultDicomObject) -> Vec<u8> {
     let mut bytes = Vec::new();
     object.write_all(&mut bytes).unwrap();
     bytes

@@ -38,7 +38,7 @@ pub struct Refused {
     /// SOP Instance UID.
     pub instance_uid: Option<String>,
     /// What is wrong with it.
-    pub error: IntakeError,
+    pub error: Box<IntakeError>,
 }
 
 /// Looks at one DICOM object: it must be, or be part of, a study that can be reconstructed, and its pixel data must be whole.
@@ -48,7 +48,7 @@ pub struct Refused {
 /// # Errors
 /// [`Refused`] for everything else; the UIDs are there if the object could be parsed.
 pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Instance, Refused> {
-    let unnamed = |error: IntakeError| Refused { class_uid: None, instance_uid: None, error };
+    let unnamed = |error: IntakeError| Refused { class_uid: None, instance_uid: None, error: Box::new(error) };
     let part = Part { media_type: Some("application/dicom"), filename: None, bytes };
     match sniff::format(&part).map_err(unnamed)? {
         sniff::Format::Dicom => {}
@@ -57,7 +57,7 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
     let scan = prescan::scan(bytes, limits).map_err(|error| unnamed(error.into()))?;
     let attributes = Attributes::parse(&scan, limits).map_err(unnamed)?;
     let (class_uid, instance_uid) = (attributes.uid(tags::SOP_CLASS_UID), attributes.uid(tags::SOP_INSTANCE_UID));
-    let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error };
+    let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error: Box::new(error) };
     let again = prescan::scan(bytes, limits).map_err(|error| named(error.into()))?;
     let object = Object::of(again, attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
     let holds = parts::holds(&object, limits).map_err(named)?;
