@@ -4,9 +4,11 @@
 //! complete by their own numbers, or until none has come for a while; what cannot be put together then is a failed job that says why, and
 //! is tried again when more of it comes. So everything that was accepted ends in a job.
 
+mod parsers;
 mod reception;
 mod series;
 
+pub use parsers::{NotParsed, Parsers};
 pub use reception::{Outcome, Received, Reception, Refusal};
 
 use crate::{
@@ -16,7 +18,7 @@ use crate::{
 };
 use sha2::{Digest, Sha256};
 use std::{sync::Arc, time::Duration};
-use tokio::{sync::Semaphore, task::AbortHandle};
+use tokio::task::AbortHandle;
 
 /// How often series that went quiet are looked for, at most.
 const LOOKED_EVERY: Duration = Duration::from_secs(1);
@@ -26,7 +28,7 @@ const LOOKED_EVERY: Duration = Duration::from_secs(1);
 pub struct Assembler {
     store: Store,
     settings: Arc<Settings>,
-    parsers: Arc<Semaphore>,
+    parsers: Parsers,
 }
 
 /// How studies are put together.
@@ -53,8 +55,8 @@ impl Drop for Watch {
 }
 
 impl Assembler {
-    /// Parsing goes through these permits.
-    pub fn new(store: Store, settings: Settings, parsers: Arc<Semaphore>) -> Self {
+    /// Parsing is done by these.
+    pub fn new(store: Store, settings: Settings, parsers: Parsers) -> Self {
         Self { store, settings: Arc::new(settings), parsers }
     }
 
@@ -81,15 +83,7 @@ impl Assembler {
     /// Runs a parser on a thread that may take its time.
     async fn parse<T: Send + 'static>(&self, parser: impl FnOnce(&Settings) -> T + Send + 'static) -> Result<T, StoreError> {
         let settings = Arc::clone(&self.settings);
-        let permit = Arc::clone(&self.parsers).acquire_owned().await.map_err(|_| StoreError::Interrupted)?;
-        let parsed = tokio::task::spawn_blocking(move || {
-            let _permit = permit; // held to the end even if the caller goes away
-            parser(&settings)
-        });
-        parsed.await.map_err(|panic| {
-            tracing::error!(%panic, "a parser panicked");
-            StoreError::Interrupted
-        })
+        self.parsers.run(move || parser(&settings)).await.map_err(|_| StoreError::Interrupted)
     }
 
     /// A job for a study, with the parameters of a request that says nothing.

@@ -93,7 +93,7 @@ pub struct Reception {
 
 /// An instance that was looked at, with its study if it is one.
 struct Examined {
-    instance: Instance,
+    instance: NewInstance,
     study: Option<intake::Received>,
 }
 
@@ -114,24 +114,24 @@ impl Reception {
     /// Takes one instance. What is a study by itself is a job when this returns; a part is committed with others, at the latest by
     /// [`end`](Self::end).
     pub async fn take(&mut self, bytes: impl AsRef<[u8]> + Send + 'static) {
-        let examined = self.assembler.parse(move |settings| examine(bytes.as_ref(), settings)).await;
+        let owner = self.owner.clone();
+        let examined = self.assembler.parse(move |settings| examine(bytes.as_ref(), owner, settings)).await;
         let Examined { instance, study } = match examined {
             Ok(Ok(examined)) => examined,
             Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err((*refused.error).into())),
             Err(error) => return self.answer(None, None, Err(error.into())),
         };
         let names = (Some(instance.class_uid.clone()), Some(instance.instance_uid.clone()));
-        if self.study_uid.as_ref().is_some_and(|wanted| *wanted != instance.study_uid) {
+        if self.study_uid.as_ref().is_some_and(|wanted| *wanted != instance.series.study_uid) {
             return self.answer(names.0, names.1, Err(Refusal::OtherStudy));
         }
-        let new = self.new_instance(instance);
         if let Some(study) = study {
-            let submitted = self.submit(study, new).await;
+            let submitted = self.submit(study, instance).await;
             self.answer(names.0, names.1, submitted);
             return;
         }
-        self.waiting_bytes += new.data.len();
-        self.waiting.push((self.outcomes.len(), new));
+        self.waiting_bytes += instance.data.len();
+        self.waiting.push((self.outcomes.len(), instance));
         self.answer(names.0, names.1, Ok(()));
         if self.waiting_bytes >= BATCH_BYTES {
             self.commit().await;
@@ -155,16 +155,10 @@ impl Reception {
         self.outcomes.push(Outcome { class_uid, instance_uid, result });
     }
 
-    fn new_instance(&self, instance: Instance) -> NewInstance {
-        let Instance { class_uid, instance_uid, study_uid, series_uid, holds, excerpt } = instance;
-        let holds = serde_json::to_string(&holds).unwrap_or_default();
-        NewInstance { series: Series { owner: self.owner.clone(), study_uid, series_uid }, class_uid, instance_uid, holds, data: excerpt }
-    }
-
     async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<(), Refusal> {
         let store = &self.assembler.store;
         let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
-        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.data]));
+        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.sha256]));
         let submitted = store.submit_assembled(reservation, new, Members::Whole(instance)).await?;
         self.jobs.push(submitted.job().id);
         Ok(())
@@ -205,7 +199,7 @@ fn again(error: &SubmitError) -> Refusal {
     }
 }
 
-fn examine(bytes: &[u8], settings: &Settings) -> Result<Examined, intake::Refused> {
+fn examine(bytes: &[u8], owner: String, settings: &Settings) -> Result<Examined, intake::Refused> {
     let instance = intake::examine(bytes, settings.keep_subject, &settings.limits)?;
     let study = if instance.holds == Holds::Study {
         let refused = |error| intake::Refused {
@@ -217,5 +211,8 @@ fn examine(bytes: &[u8], settings: &Settings) -> Result<Examined, intake::Refuse
     } else {
         None
     };
-    Ok(Examined { instance, study })
+    let Instance { class_uid, instance_uid, study_uid, series_uid, holds, excerpt } = instance;
+    let holds = serde_json::to_string(&holds).unwrap_or_default();
+    let series = Series { owner, study_uid, series_uid };
+    Ok(Examined { instance: NewInstance::new(series, class_uid, instance_uid, holds, excerpt), study })
 }

@@ -2,7 +2,7 @@
 
 use super::{Assembler, digest, read};
 use crate::{
-    intake::{Holds, IntakeError, Nature, Received},
+    intake::{Holds, IntakeError, Nature, Received, sentence},
     jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
 };
 use uuid::Uuid;
@@ -58,7 +58,7 @@ impl Assembler {
             Err(error) if error.nature() == Nature::Unavailable => Err(AssemblyError::Unavailable(error)),
             Err(error) => {
                 tracing::info!(code = error.code(), "the instances of a series make no study");
-                let error = JobError { code: error.code().to_owned(), message: sentence(&error) };
+                let error = JobError { code: error.code().to_owned(), message: sentence(&error.to_string()) };
                 let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
                 Ok(failed.map(|job| job.id))
             }
@@ -82,12 +82,4 @@ impl Assembler {
 fn complete(parts: &[StoredInstance]) -> bool {
     let holds: Option<Vec<Holds>> = parts.iter().map(|part| serde_json::from_str(&part.holds).ok()).collect();
     holds.is_some_and(|holds| Holds::complete(&holds))
-}
-
-/// An error as the sentence of a problem document.
-fn sentence(error: &IntakeError) -> String {
-    let text = error.to_string();
-    let mut characters = text.chars();
-    let first = characters.next().map(|first| first.to_uppercase().to_string()).unwrap_or_default();
-    format!("{first}{}.", characters.as_str().trim_end_matches('.'))
 }

@@ -27,7 +27,7 @@ pub use service::{Running, ServeError, serve, start};
 pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressView, callback_body};
 
 use crate::{
-    assembly::{self, Assembler},
+    assembly::{self, Assembler, NotParsed, Parsers},
     callbacks::Rules,
     codecs::Decoder,
     config::Cors,
@@ -38,7 +38,6 @@ use crate::{
 use axum::{Router, http::StatusCode, middleware};
 use metrics_exporter_prometheus::PrometheusHandle;
 use std::{path::PathBuf, sync::Arc, time::Duration};
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tower_http::{catch_panic::CatchPanicLayer, timeout::TimeoutLayer};
 use utoipa::OpenApi as _;
@@ -67,7 +66,7 @@ pub struct AppState {
     upload_time: Duration,
     longest_retention: Duration,
     keep_patient: bool,
-    parsers: Arc<Semaphore>,
+    parsers: Parsers,
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
     cors: Cors,
@@ -95,7 +94,7 @@ impl AppState {
             upload_time: Duration::from_mins(2),
             longest_retention: LONGEST_RETENTION,
             keep_patient: false,
-            parsers: Arc::new(Semaphore::new(PARSED_AT_ONCE)),
+            parsers: Parsers::new(PARSED_AT_ONCE),
             workers_alive: Arc::new(|| true),
             disk: None,
             cors: Cors::Off,
@@ -181,7 +180,7 @@ impl AppState {
             keep_subject: self.keep_patient,
             callback_url: self.callbacks.as_ref().and_then(|rules| rules.default_url.clone()),
         };
-        Assembler::new(self.store.clone(), settings, Arc::clone(&self.parsers))
+        Assembler::new(self.store.clone(), settings, self.parsers.clone())
     }
 
     /// Time that a request with a whole study may take to arrive: as much as its bytes would in requests of the usual size.
@@ -199,14 +198,9 @@ impl AppState {
         parser: impl FnOnce(&intake::Limits) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
         let limits = Arc::clone(&self.limits);
-        let permit = Arc::clone(&self.parsers).acquire_owned().await.map_err(|_| Problem::draining())?;
-        let parsed = tokio::task::spawn_blocking(move || {
-            let _permit = permit; // held to the end even if the client goes away
-            parser(&limits)
-        });
-        parsed.await.unwrap_or_else(|panic| {
-            tracing::error!(%panic, "a parser panicked");
-            Err(Problem::internal())
+        self.parsers.run(move || parser(&limits)).await.unwrap_or_else(|error| match error {
+            NotParsed::Closed => Err(Problem::draining()),
+            NotParsed::Panicked => Err(Problem::internal()),
         })
     }
 }

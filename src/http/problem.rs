@@ -4,7 +4,7 @@ use super::{body::BodyError, health::Checks, negotiate::NotAcceptable};
 use crate::{
     archive::ArchiveError,
     export::ExportError,
-    intake::{IntakeError, Nature},
+    intake::{IntakeError, Nature, sentence},
     jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
     pipeline::PipelineError,
@@ -161,14 +161,6 @@ impl IntoResponse for Problem {
     }
 }
 
-/// A sentence with a capital and a full stop, as problems have them.
-fn sentence(text: &str) -> String {
-    let mut letters = text.chars();
-    let first = letters.next().map(|letter| letter.to_uppercase().collect::<String>()).unwrap_or_default();
-    let end = if text.ends_with(['.', '!', '?']) { "" } else { "." };
-    format!("{first}{}{end}", letters.as_str())
-}
-
 impl From<IntakeError> for Problem {
     fn from(error: IntakeError) -> Self {
         let status = match error.nature() {
@@ -323,12 +315,5 @@ mod tests {
         let error = StoreError::Directory { directory: "/secret/place".into(), source: std::io::Error::other("disk on fire") };
         let text = serde_json::to_string(&Problem::from(error)).unwrap();
         assert!(!text.contains("secret") && !text.contains("fire"), "{text}");
-    }
-
-    #[test]
-    fn details_are_sentences() {
-        assert_eq!(sentence("the request has no content; send one"), "The request has no content; send one.");
-        assert_eq!(sentence("It is so."), "It is so.");
-        assert_eq!(sentence(""), ".");
     }
 }

@@ -16,6 +16,14 @@ pub(super) fn shown(text: &str) -> String {
     shown
 }
 
+/// A sentence with a capital and a full stop, as problems and failed jobs have them.
+pub(crate) fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(|letter| letter.to_uppercase().collect::<String>()).unwrap_or_default();
+    let end = if text.ends_with(['.', '!', '?']) { "" } else { "." };
+    format!("{first}{}{end}", letters.as_str())
+}
+
 /// What kind of refusal an [`IntakeError`] is, for those who choose a status code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Nature {
@@ -300,5 +308,17 @@ impl IntakeError {
             | Self::NoCounts
             | Self::MissingSpacing => Nature::Refused,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn details_are_sentences() {
+        assert_eq!(sentence("the request has no content; send one"), "The request has no content; send one.");
+        assert_eq!(sentence("It is so."), "It is so.");
+        assert_eq!(sentence(""), ".");
     }
 }

@@ -15,6 +15,7 @@ mod prescan;
 mod sniff;
 
 pub use dicom::{Holds, Instance, Refused, STORAGE_CLASSES, TransferSyntax, examine, transfer_syntaxes};
+pub(crate) use error::sentence;
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;
 

@@ -5,7 +5,7 @@ use super::{
     error::{StoreError, SubmitError},
     job::JobError,
     lease::milliseconds,
-    store::{Store, finished, parse_id, sha256},
+    store::{Store, finished, intact, parse_id, sha256},
 };
 use crate::jobs::{Job, State};
 use std::time::Duration;
@@ -35,6 +35,15 @@ pub struct NewInstance {
     pub holds: String,
     /// The excerpt.
     pub data: Vec<u8>,
+    /// Its SHA-256 in lower-case hexadecimal.
+    pub sha256: String,
+}
+
+impl NewInstance {
+    /// With the SHA-256 of its excerpt, for which large ones take their time: not for a thread of the runtime.
+    pub fn new(series: Series, class_uid: String, instance_uid: String, holds: String, data: Vec<u8>) -> Self {
+        Self { series, class_uid, instance_uid, holds, sha256: sha256(&data), data }
+    }
 }
 
 /// The instances that a new job is made of.
@@ -138,8 +147,8 @@ impl Store {
     }
 
     async fn insert_instance(&self, transaction: &mut Transaction, instance: NewInstance, job: Option<Uuid>) -> Result<(), StoreError> {
-        let NewInstance { series, class_uid, instance_uid, holds, data } = instance;
-        let (sha256, size) = (sha256(&data), data.len() as i64);
+        let NewInstance { series, class_uid, instance_uid, holds, data, sha256 } = instance;
+        let size = data.len() as i64;
         let fields = values![series.owner, instance_uid, class_uid, series.study_uid, series.series_uid, holds, sha256, size];
         let (job, data) = match job {
             Some(job) => (Some(job.to_string()), None),
@@ -181,11 +190,9 @@ impl Store {
     pub async fn excerpt(&self, owner: &str, instance_uid: &str) -> Result<Option<Vec<u8>>, StoreError> {
         let sql = "SELECT data, sha256 FROM instances WHERE owner = $1 AND sop_instance_uid = $2 AND data IS NOT NULL";
         let Some(row) = self.inner.database.fetch_one(sql, values![owner, instance_uid]).await? else { return Ok(None) };
-        let (data, digest) = (row.get::<Vec<u8>>(0)?, row.get::<String>(1)?);
-        if sha256(&data) != digest {
-            return Err(StoreError::Damaged { what: "an instance does not match its SHA-256".to_owned() });
-        }
-        Ok(Some(data))
+        let (data, sha256) = (row.get(0)?, row.get(1)?);
+        drop(row);
+        intact(sha256, data, || "an instance".to_owned()).await.map(Some)
     }
 
     /// A job that failed before it began, since the instances that came make no study. It keeps their excerpts, for when more of them come.
@@ -232,5 +239,5 @@ async fn known(transaction: &mut Transaction, instance: &NewInstance) -> Result<
         return Ok(None);
     };
     let job = row.get::<Option<String>>(1)?.map(|id| parse_id(&id)).transpose()?;
-    Ok(Some(Known { same: row.get::<String>(0)? == sha256(&instance.data), job }))
+    Ok(Some(Known { same: row.get::<String>(0)? == instance.sha256, job }))
 }

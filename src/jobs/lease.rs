@@ -97,7 +97,7 @@ impl Store {
             return Err(StoreError::Damaged { what: format!("job {} has no input", claim.id) });
         };
         drop(row);
-        intact(claim.id, INPUT, sha256, data).await.map(Some)
+        intact(sha256, data, || format!("{INPUT} of job {}", claim.id)).await.map(Some)
     }
 
     /// Renews the lease and, if there is news, stores the progress; returns whether the job should stop.

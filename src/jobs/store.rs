@@ -203,7 +203,7 @@ impl Store {
         let Some(row) = self.inner.database.fetch_one(sql, values![id, name]).await? else { return Ok(None) };
         let (media_type, sha256, data) = (row.get(0)?, row.get::<String>(1)?, row.get(2)?);
         drop(row);
-        let data = intact(id, name, sha256.clone(), data).await?;
+        let data = intact(sha256.clone(), data, || format!("{name} of job {id}")).await?;
         Ok(Some(Blob { media_type, sha256, data }))
     }
 
@@ -326,10 +326,10 @@ pub(super) async fn insert_blob(
     transaction.execute(sql, values![job_id, name, media_type, sha256, data.len() as i64, data]).await.map(drop)
 }
 
-/// The data of a blob if they are what was stored.
-pub(super) async fn intact(job_id: Uuid, name: &str, stored_sha256: String, data: Vec<u8>) -> Result<Vec<u8>, StoreError> {
+/// Data if they are what was stored; else it is said what is not.
+pub(super) async fn intact(stored_sha256: String, data: Vec<u8>, what: impl FnOnce() -> String) -> Result<Vec<u8>, StoreError> {
     let data = tokio::task::spawn_blocking(move || (sha256(&data) == stored_sha256).then_some(data));
-    let damaged = || StoreError::Damaged { what: format!("{name} of job {job_id} does not match its SHA-256") };
+    let damaged = || StoreError::Damaged { what: format!("{} does not match its SHA-256", what()) };
     data.await.map_err(|_| StoreError::Interrupted)?.ok_or_else(damaged)
 }
 

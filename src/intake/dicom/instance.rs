@@ -58,8 +58,7 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
     let attributes = Attributes::parse(&scan, limits).map_err(unnamed)?;
     let (class_uid, instance_uid) = (attributes.uid(tags::SOP_CLASS_UID), attributes.uid(tags::SOP_INSTANCE_UID));
     let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error: Box::new(error) };
-    let again = prescan::scan(bytes, limits).map_err(|error| named(error.into()))?;
-    let object = Object::of(again, attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
+    let object = Object::of(scan.clone(), attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
     let holds = parts::holds(&object, limits).map_err(named)?;
     let needed = |uid: &Option<String>, name, tag: Tag| {
         let advice = "instances are told apart and put together by it";

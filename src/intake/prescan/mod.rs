@@ -65,7 +65,7 @@ pub(in crate::intake) struct Element {
 }
 
 /// What the walk found.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(in crate::intake) struct Scan<'a> {
     pub(in crate::intake) encoding: Encoding,
     /// The bytes that all ranges refer to: the file, or the inflated data set.
