@@ -11,6 +11,7 @@ use std::{
     path::PathBuf,
 };
 use ventricle::{
+    analysis::analyse,
     codecs::Decoder,
     config,
     export::{glb, vtu},
@@ -84,7 +85,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let reconstruction = pool.install(|| pipeline::reconstruct(&study, &chosen, &watch));
     let timing = watch.finish();
     let reconstruction = reconstruction?;
-    let report = report::build("local", &study, &reconstruction, &timing);
+    let report = report::build("local", &study, &reconstruction, &analyse(&study, &reconstruction), &timing);
     if let Some(path) = &args.output {
         fs::write(path, pretty(&report)?).with_context(|| format!("{} could not be written", path.display()))?;
     }

@@ -2,6 +2,7 @@
 
 use super::progress::Progress;
 use crate::{
+    analysis::analyse,
     export::{ExportError, glb, vtu},
     pipeline::{self, PipelineError, Surface, monitor::Monitor, parameters::Parameters},
     report::{self, Timing},
@@ -68,8 +69,9 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
     // A fit that came to rest early stops short of its steps.
     progress.advance(1, 1);
+    let analysis = analyse(study, &reconstruction);
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
-    let report = report::build(&id.to_string(), study, &reconstruction, &timing);
+    let report = report::build(&id.to_string(), study, &reconstruction, &analysis, &timing);
     let report = serde_json::to_vec(&report).map_err(|error| WorkError::Internal(format!("report: {error}")))?;
     let mut outputs = vec![
         Output { name: REPORT.to_owned(), media_type: "application/json", data: report },

@@ -4,14 +4,18 @@
 //! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
 
 use super::{
+    cycle::CycleSummary,
     fits::SurfaceFits,
     model::{GateModel, ModelSummary},
     pose::PoseSummary,
     quality::{Evidence, QUALITY_LIMITS, Quality, assess},
+    regional::RegionalSummary,
     uncertainty::UncertaintySummary,
     wall::WallSummary,
+    wall_function::{PerfusionSummary, PhaseSummary, ShapeSummary},
 };
 use crate::{
+    analysis::Analysis,
     pipeline::{GateReconstruction, Reconstruction, Region, Surface, clinical::GateFit, parameters::Parameters},
     study::{Affected, AffectedArc, Format, Study, Warning},
 };
@@ -44,6 +48,26 @@ pub struct Report {
     pub gates: Vec<GateReport>,
     /// The wall between the surfaces.
     pub myocardium: Myocardium,
+    /// The time-volume curve; null for fewer than four gates.
+    #[serde(default)]
+    #[schema(required)]
+    pub cycle: Option<CycleSummary>,
+    /// The wall by segments; null in reports of versions before 0.2.
+    #[serde(default)]
+    #[schema(required)]
+    pub regional: Option<RegionalSummary>,
+    /// Perfusion of the wall; null likewise.
+    #[serde(default)]
+    #[schema(required)]
+    pub perfusion: Option<PerfusionSummary>,
+    /// When the wall contracts; null for fewer than four gates.
+    #[serde(default)]
+    #[schema(required)]
+    pub phase: Option<PhaseSummary>,
+    /// Length and width of the cavity.
+    #[serde(default)]
+    #[schema(required)]
+    pub shape: Option<ShapeSummary>,
     /// Where the slices cut the ventricle; null where they do not cut it across (long-axis or transaxial slices).
     #[schema(required)]
     pub region: Option<RegionSummary>,
@@ -255,7 +279,7 @@ pub struct Timing {
 }
 
 /// The report of a reconstruction; `id` is the reconstruction's.
-pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
+pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, analysis: &Analysis, timing: &Timing) -> Report {
     let model = reconstruction.model.as_ref();
     let gates: Vec<GateReport> = reconstruction
         .gates
@@ -282,11 +306,17 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &
         },
         &QUALITY_LIMITS,
     );
+    let regional = RegionalSummary::of(analysis);
     Report {
         schema: SCHEMA.to_owned(),
         id: id.to_owned(),
         software: Software { name: env!("CARGO_PKG_NAME").to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
         study: study_summary(study),
+        cycle: analysis.cycle.as_ref().map(CycleSummary::from),
+        perfusion: Some(PerfusionSummary::of(&analysis.perfusion, &regional)),
+        phase: analysis.phase.as_ref().map(|phase| PhaseSummary::of(phase, analysis)),
+        shape: ShapeSummary::of(&analysis.shapes),
+        regional: Some(regional),
         function,
         myocardium,
         region: reconstruction.region.map(RegionSummary::from),

@@ -7,6 +7,7 @@ use crate::{
 };
 use std::time::{Duration, Instant};
 use ventricle::{
+    analysis::analyse,
     intake::{self, IntakeError, Limits, Nature, Options, Part},
     pipeline::{self, monitor::Silent, parameters::Parameters},
     report::{self, Timing},
@@ -52,7 +53,8 @@ fn sum(study: &Study) -> f64 {
 fn report(study: &Study) -> serde_json::Value {
     let reconstruction = pipeline::reconstruct(study, &Parameters::clinical(), &Silent).unwrap();
 
-    let mut report = serde_json::to_value(report::build("same", study, &reconstruction, &Timing::default())).unwrap();
+    let mut report =
+        serde_json::to_value(report::build("same", study, &reconstruction, &analyse(study, &reconstruction), &Timing::default())).unwrap();
     report["study"] = serde_json::Value::Null;
     report
 }

@@ -5,6 +5,7 @@ use gltf::{Glb, Gltf, Semantic, accessor::Accessor, mesh::util::ReadIndices};
 use serde_json::Value;
 use std::{path::Path, process::Command};
 use ventricle::{
+    analysis::analyse,
     export::{ExportError, glb},
     mesh::Mesh,
     pipeline::{
@@ -134,7 +135,7 @@ fn relative(a: f64, b: f64) -> f64 {
 fn every_morph_target_has_the_volume_of_its_gate_in_the_report() {
     for orientation in [None, Some(oblique(false)), Some(oblique(true))] {
         let (study, reconstruction) = beating(8, 3, orientation);
-        let report = report::build("x", &study, &reconstruction, &report::Timing::default());
+        let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &report::Timing::default());
         let file = glb::cycle(&study, &reconstruction).unwrap();
         let opened = Opened::new(&file);
         for gate in &report.gates {
