@@ -672,8 +672,14 @@ mod tests {
     }
 
     #[test]
-    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        assert_eq!(refused(&json!({"metadata": {}}))[0].0, "unavailable_parameter");
+    fn the_body_is_given_in_metres_and_kilograms() {
+        let given = |metadata: Value| resolve(parse(&json!({"metadata": metadata})).unwrap()).unwrap().metadata;
+        assert_eq!(given(json!({"height_m": 1.72, "weight_kg": 80})), chosen::Metadata { height_m: Some(1.72), weight_kg: Some(80.0) });
+        assert_eq!(given(json!({})), chosen::Metadata::default());
+        for wrong in [json!({"height_m": 172}), json!({"height_m": 0}), json!({"weight_kg": -70}), json!({"weight_kg": "70 kg"})] {
+            assert_eq!(refused(&json!({"metadata": wrong.clone()}))[0].0, "invalid_parameter", "{wrong}");
+        }
+        assert_eq!(refused(&json!({"metadata": {"name": "X"}}))[0].0, "unknown_parameter");
     }
 
     #[test]
