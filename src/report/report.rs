@@ -150,7 +150,7 @@ pub struct StudySummary {
     pub beats_rejected: Option<u64>,
     /// Shortest and longest R-R interval of an accepted beat in ms, if the header tells (DICOM Low and High R-R Value).
     #[serde(default)]
-    #[schema(required)]
+    #[schema(required, min_items = 2, max_items = 2)]
     pub rr_window_ms: Option<[f64; 2]>,
     /// Whether beats were sorted by their length, if the header tells (DICOM Beat Rejection Flag).
     #[serde(default)]
