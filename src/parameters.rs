@@ -18,8 +18,8 @@ use utoipa::ToSchema;
 /// Shortest `retention_seconds`: whoever waits for a job is told to look every 30 s, and must find its end there.
 pub const SHORTEST_RETENTION_S: u64 = 60;
 
-/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level` and `region` are of both presets,
-/// `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
+/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level`, `region`, `analysis` and `metadata` are
+/// of both presets, `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
 /// by name, unless it is the default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
