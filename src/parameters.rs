@@ -18,8 +18,8 @@ use utoipa::ToSchema;
 /// Shortest `retention_seconds`: whoever waits for a job is told to look every 30 s, and must find its end there.
 pub const SHORTEST_RETENTION_S: u64 = 60;
 
-/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level` and `region` are of both presets,
-/// `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
+/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level`, `region`, `analysis` and `metadata` are
+/// of both presets, `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
 /// by name, unless it is the default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -672,8 +672,14 @@ mod tests {
     }
 
     #[test]
-    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        assert_eq!(refused(&json!({"metadata": {}}))[0].0, "unavailable_parameter");
+    fn the_body_is_given_in_metres_and_kilograms() {
+        let given = |metadata: Value| resolve(parse(&json!({"metadata": metadata})).unwrap()).unwrap().metadata;
+        assert_eq!(given(json!({"height_m": 1.72, "weight_kg": 80})), chosen::Metadata { height_m: Some(1.72), weight_kg: Some(80.0) });
+        assert_eq!(given(json!({})), chosen::Metadata::default());
+        for wrong in [json!({"height_m": 172}), json!({"height_m": 0}), json!({"weight_kg": -70}), json!({"weight_kg": "70 kg"})] {
+            assert_eq!(refused(&json!({"metadata": wrong.clone()}))[0].0, "invalid_parameter", "{wrong}");
+        }
+        assert_eq!(refused(&json!({"metadata": {"name": "X"}}))[0].0, "unknown_parameter");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 
 mod archived;
 mod body;
+mod comparison;
 mod dicomweb;
 mod docs;
 mod events;
@@ -217,6 +218,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::endocardial))
         .routes(routes!(results::epicardial))
         .routes(routes!(results::wall))
+        .routes(routes!(comparison::comparison))
         .routes(routes!(archived::sr))
         .routes(routes!(archived::fhir))
         .routes(routes!(archived::endocardial_stl))
@@ -228,6 +230,8 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(health::readyz))
         .routes(routes!(health::metrics))
         .routes(routes!(docs::openapi))
+        .routes(routes!(docs::report_schema))
+        .routes(routes!(docs::comparison_schema))
         .layer(timeout());
     // A submission has its own time for the body, and none for being parsed: its place is taken and its size known.
     OpenApiRouter::with_openapi(docs::Contract::openapi())

@@ -106,6 +106,11 @@ impl Default for Imaging {
     }
 }
 
+/// Beats of a simulated acquisition, of which none is rejected.
+const BEATS: u64 = 1000;
+/// Its acceptance window, as parts of the R-R interval.
+const WINDOW: [f64; 2] = [0.8, 1.2];
+
 /// A simulated study and what is true of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
@@ -158,6 +163,7 @@ pub fn simulate(phantom: &Phantom) -> Result<Simulation, PhantomError> {
         .map(|(gate, image)| Gate { volume: counts(image * scale, gate, phantom), duration_ms: Some(duration_ms) })
         .collect();
     let (study_uid, series_uid, instance_uid) = identity::uids_of(phantom);
+    let gated = imaging.gates > 1;
     let study = Study {
         grid: imaging.grid,
         gates,
@@ -168,6 +174,10 @@ pub fn simulate(phantom: &Phantom) -> Result<Simulation, PhantomError> {
             sop_instance_uids: vec![instance_uid],
             rr_interval_ms: Some(imaging.rr_interval_ms),
             heart_rate_bpm: Some((60_000.0 / imaging.rr_interval_ms).round()),
+            beats_accepted: gated.then_some(BEATS),
+            beats_rejected: gated.then_some(0),
+            rr_window_ms: gated.then(|| WINDOW.map(|part| (part * imaging.rr_interval_ms).round())),
+            beat_rejection: gated.then_some(true),
             ..Acquisition::unknown(Format::Phantom)
         },
         warnings: Vec::new(),

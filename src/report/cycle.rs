@@ -42,6 +42,10 @@ pub struct CycleSummary {
     pub time_to_peak_filling_ms: Option<f64>,
     /// Whether the gates are too few for the rates to be relied on (fewer than 16).
     pub coarse: bool,
+    /// What to beware of, in a sentence, where the gates are too few; else null.
+    #[serde(default)]
+    #[schema(required)]
+    pub caution: Option<String>,
 }
 
 /// A gate on the curve.
@@ -73,6 +77,7 @@ impl From<&Cycle> for CycleSummary {
     fn from(cycle: &Cycle) -> Self {
         let per_s = |per_cycle: f64| cycle.rr_interval_ms.map(|ms| per_cycle * 1000.0 / ms);
         let in_ms = |part: f64| cycle.rr_interval_ms.map(|ms| part * ms);
+        let gates = cycle.gate_ml.len();
         Self {
             rr_interval_ms: cycle.rr_interval_ms,
             gates: (1..)
@@ -95,7 +100,12 @@ impl From<&Cycle> for CycleSummary {
             mean_filling_rate_first_third_edv_per_s: per_s(cycle.mean_filling_first_third),
             time_to_peak_emptying_ms: in_ms(cycle.time_to_peak_emptying),
             time_to_peak_filling_ms: in_ms(cycle.time_to_peak_filling),
-            coarse: cycle.gate_ml.len() < GATES_FOR_RATES,
+            coarse: gates < GATES_FOR_RATES,
+            caution: (gates < GATES_FOR_RATES).then(|| {
+                format!(
+                    "{gates} gates do not resolve how fast the ventricle empties and fills: the rates are underestimated and their times are coarse                      (docs/accuracy.md); {GATES_FOR_RATES} gates or more are asked for."
+                )
+            }),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod archived;
 mod callbacks;
+mod comparison;
 mod following;
 mod harness;
 mod operating;

@@ -31,6 +31,7 @@ mod quality;
 mod report;
 mod restart;
 mod retention;
+mod schema;
 mod served;
 mod shared;
 mod surfaces;

@@ -22,7 +22,7 @@ fn timing() -> Timing {
 
 #[test]
 fn function_follows_from_the_largest_and_smallest_cavity() {
-    let (study, reconstruction) = beating(8, 3, None);
+    let (study, reconstruction) = beating(8, 3, Some(oblique(false)));
     let report = report::build("some-id", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     let function = report.function.unwrap();
     let volume = |gate: usize| reconstruction.gates[gate - 1].volume_ml(Surface::Endocardial);
@@ -136,6 +136,35 @@ fn one_fitted_gate_has_the_error_of_its_volume() {
     assert!(report.quality.flags.is_empty());
 }
 
+/// Who says which wall is anterior is not told that it is unknown.
+#[test]
+fn an_assumed_rotation_is_told_and_a_given_one_is_not() {
+    let (study, mut reconstruction) = beating(8, 2, None);
+    let codes = |reconstruction: &Reconstruction| {
+        let report = report::build("x", &study, reconstruction, &analyse(&study, reconstruction), &timing());
+        assert!(report.quality.flags.is_empty());
+        report.warnings.into_iter().map(|warning| (warning.code, warning.message)).collect::<Vec<_>>()
+    };
+    let told = codes(&reconstruction);
+    assert_eq!(told.len(), 1);
+    assert!(told[0].0 == "rotation_unknown" && told[0].1.contains("`analysis.anterior`"), "{told:?}");
+    reconstruction.parameters.analysis.anterior = Some([0.0, -1.0, 0.0]);
+    assert_eq!(codes(&reconstruction), []);
+}
+
+/// Rates of few gates are told with a caution beside them; eight gates are usual and no warning.
+#[test]
+fn few_gates_are_a_caution_and_no_warning() {
+    for (gates, coarse) in [(4, true), (8, true), (15, true), (16, false), (24, false)] {
+        let (study, reconstruction) = beating(gates, 2, Some(oblique(false)));
+        let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
+        let cycle = report.cycle.unwrap();
+        assert_eq!((cycle.coarse, cycle.caution.is_some()), (coarse, coarse), "{gates}");
+        assert!(cycle.caution.is_none_or(|caution| caution.starts_with(&format!("{gates} gates")) && caution.contains("underestimated")));
+        assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    }
+}
+
 /// As the version before wrote it: without `pose`, `model`, `uncertainty`, and `pose` and `refine` among the parameters.
 #[test]
 fn a_report_of_the_version_before_is_still_read() {
@@ -224,6 +253,7 @@ fn what_is_doubtful_is_flagged_and_told_in_a_sentence() {
     let expected = [
         ("input_odd", None),
         ("partial_border", Some(3)),
+        ("rotation_unknown", None),
         ("not_converged", Some(3)),
         ("surfaces_cross", Some(5)),
         ("myocardial_volume_not_conserved", None),

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
-# (libgdcm-tools) for DICOM, strace for what is written to disk, Node with the validators for glTF and FHIR, Python with highdicom for structured
+# (libgdcm-tools) for DICOM, strace for what is written to disk, Node with the validators for glTF, FHIR and JSON Schema, Python with highdicom for structured
 # reports, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
@@ -42,10 +42,10 @@ fi
 if command -v npm >/dev/null; then
   # npm leaves a copy of the lock file in node_modules: newer than ours means installed from it.
   if [[ ! node_modules/.package-lock.json -nt package-lock.json ]]; then
-    npm ci --silent --no-audit --no-fund || echo "not installed: the validators for glTF and FHIR (npm ci failed in tests/tools)"
+    npm ci --silent --no-audit --no-fund || echo "not installed: the validators for glTF, FHIR and JSON Schema (npm ci failed in tests/tools)"
   fi
 else
-  echo "not installed: the validators for glTF and FHIR (npm is missing)"
+  echo "not installed: the validators for glTF, FHIR and JSON Schema (npm is missing)"
 fi
 
 if python3 -c 'import ensurepip' 2>/dev/null; then
