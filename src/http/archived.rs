@@ -195,7 +195,7 @@ async fn stored_surface(state: &AppState, id: Uuid, gate: u32, surface: Surface,
 }
 
 /// What results are made from, or why there are none.
-async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
+pub(super) async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
     let (Some(report), Some(job)) = (store.blob(id, work::REPORT).await?, store.get(id).await?) else {
         return Err(missing(store, id, name).await?);
     };
@@ -207,7 +207,8 @@ async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Probl
     Ok(Finished { id, finished_at: job.finished_at.unwrap_or(job.created_at), report, subject })
 }
 
-async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
+/// Why a job has no such result.
+pub(super) async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
     let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     Ok(Problem::no_result(&job, name))
 }

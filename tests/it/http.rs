@@ -5,6 +5,7 @@ mod callbacks;
 mod following;
 mod harness;
 mod operating;
+mod pictures;
 mod presets;
 mod pressure;
 mod refusing;
