@@ -91,7 +91,8 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
         fs::write(path, pretty(&report)?).with_context(|| format!("{} could not be written", path.display()))?;
     }
     if let Some(path) = &args.glb {
-        fs::write(path, glb::cycle(&study, &reconstruction, &analysis)?).with_context(|| format!("{} could not be written", path.display()))?;
+        fs::write(path, glb::cycle(&study, &reconstruction, &analysis)?)
+            .with_context(|| format!("{} could not be written", path.display()))?;
     }
     if let Some(folder) = &args.wall {
         fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;

@@ -81,11 +81,7 @@ impl BullsEye<'_> {
         let (left, top, width, height) = (28.0, 197.0, 144.0, 9.0);
         for step in 0..(width / 2.0) as usize {
             let part = (2.0 * step as f64 + 1.0) / width;
-            marks.push(Mark::Rectangle {
-                at: (left + 2.0 * step as f64, top),
-                size: (2.2, height),
-                colour: self.field.scale.colour(part),
-            });
+            marks.push(Mark::Rectangle { at: (left + 2.0 * step as f64, top), size: (2.2, height), colour: self.field.scale.colour(part) });
         }
         marks.push(frame((left, top), (width, height)));
         for tick in self.ticks() {

@@ -106,8 +106,7 @@ mod tests {
 
     #[test]
     fn few_colours_in_all() {
-        let mut colours: Vec<[u32; 3]> =
-            (0..5000).map(|step| Scale::Cycle.colour(f64::from(step) / 5000.0).map(f32::to_bits)).collect();
+        let mut colours: Vec<[u32; 3]> = (0..5000).map(|step| Scale::Cycle.colour(f64::from(step) / 5000.0).map(f32::to_bits)).collect();
         colours.sort_unstable();
         colours.dedup();
         assert!(colours.len() <= LEVELS);

@@ -156,9 +156,10 @@ impl SceneBuilder {
         for (semantic, accessor) in coloured.iter().flat_map(|(_, colours)| &colours.attributes) {
             attributes.insert(Checked::Valid(semantic.clone()), *accessor);
         }
-        let (wall, lid): (Vec<[u32; 3]>, Vec<[u32; 3]>) = base.mesh.triangles.iter().partition(|triangle| {
-            !coloured.is_some_and(|(variants, _)| triangle.iter().all(|&vertex| variants.in_lid[vertex as usize]))
-        });
+        let (wall, lid): (Vec<[u32; 3]>, Vec<[u32; 3]>) =
+            base.mesh.triangles.iter().partition(|triangle| {
+                !coloured.is_some_and(|(variants, _)| triangle.iter().all(|&vertex| variants.in_lid[vertex as usize]))
+            });
         let parts: Vec<(Index<Accessor>, bool)> = [(wall, false), (lid, true)]
             .into_iter()
             .filter(|(triangles, _)| !triangles.is_empty())
@@ -220,15 +221,11 @@ impl SceneBuilder {
         let mut walls = Vec::with_capacity(variants.quantities.len());
         for coloured in &variants.quantities {
             let name = coloured.quantity.name();
-            attributes.push((Semantic::Extras(variants::attribute(coloured.quantity).to_owned()), self.arrays.push_scalars(&coloured.values)));
+            attributes
+                .push((Semantic::Extras(variants::attribute(coloured.quantity).to_owned()), self.arrays.push_scalars(&coloured.values)));
             let source = self.arrays.push_image(name, coloured.texture.clone());
-            let texture = self.root.push(Texture {
-                name: Some(name.to_owned()),
-                sampler: Some(sampler),
-                source,
-                extensions: None,
-                extras: None,
-            });
+            let texture =
+                self.root.push(Texture { name: Some(name.to_owned()), sampler: Some(sampler), source, extensions: None, extras: None });
             walls.push(self.root.push(opaque(name, [1.0; 4], Some(Info { index: texture, tex_coord: 0, extensions: None, extras: None }))));
         }
         // As the textures are around the disc: they are in sRGB, a factor is linear.

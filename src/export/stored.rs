@@ -92,7 +92,8 @@ impl<'a> StoredCycle<'a> {
         };
         let points = moved(Semantic::Positions, |target| target.positions).ok_or_else(not_ours("positions"))?;
         let normals = moved(Semantic::Normals, |target| target.normals).ok_or_else(not_ours("normals"))?;
-        let triangles: Option<Vec<Vec<[u32; 3]>>> = mesh.primitives.iter().map(|primitive| self.triangles(primitive, points.len())).collect();
+        let triangles: Option<Vec<Vec<[u32; 3]>>> =
+            mesh.primitives.iter().map(|primitive| self.triangles(primitive, points.len())).collect();
         let triangles = triangles.ok_or_else(not_ours("triangles"))?.concat();
         Ok(StoredSurface { points, normals, triangles })
     }

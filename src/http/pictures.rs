@@ -22,7 +22,8 @@ use axum::{
 use uuid::Uuid;
 
 /// What a browser is to allow a drawing that it shows as a document: the pixels inside of it.
-const DRAWING_POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'; sandbox";
+const DRAWING_POLICY: &str =
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'; sandbox";
 
 /// Draws a polar map.
 ///
@@ -102,9 +103,7 @@ pub(super) async fn report_page(State(state): State<AppState>, Id(id): Id, heade
     let finished = finished(&state.store, id, "report.html").await?;
     let Some(surfaces) = state.store.blob(id, work::SURFACES).await? else { return Err(missing(&state.store, id, "report.html").await?) };
     let maps = polar_maps(&state.store, id).await?;
-    let html = state
-        .parse(move |_| Ok(page::write(&finished, &page::Parts { maps: maps.as_ref(), surfaces: &surfaces.data })?))
-        .await?;
+    let html = state.parse(move |_| Ok(page::write(&finished, &page::Parts { maps: maps.as_ref(), surfaces: &surfaces.data })?)).await?;
     Ok(with_policy(page::policy(), send(&headers, Blob::new(page::MEDIA_TYPE, html.into_bytes()))))
 }
 

@@ -13,13 +13,13 @@ mod uncertainty;
 mod wall;
 mod wall_function;
 
+pub use crate::analysis::RotationSource;
 pub use cycle::{CyclePoint, CycleSummary, Harmonic};
 pub use fits::{DistanceTrace, Extremes, FitSummary, GvfSummary, ParticleDistances, SurfaceFits, TriangleSummary};
 pub use model::{GateModel, ModelSummary, PsfSummary, RefereeSummary, ResidualSummary};
 pub use polar::{PolarMap, PolarMaps, Quantity};
 pub use pose::{PatientPose, PoseConfidenceSummary, PoseSummary};
 pub use quality::{QUALITY_LIMITS, Quality, QualityLimits};
-pub use crate::analysis::RotationSource;
 pub use regional::{RegionalSummary, RegionalValues, Rotation, SegmentReport, TerritoryReport};
 pub use report::{
     AffectedRegion, AffectedSector, Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, RegionSummary, Remark,

@@ -112,24 +112,26 @@ fn facts(finished: &Finished) -> String {
 /// All maps, or why there are none.
 fn bulls_eyes(maps: Option<&PolarMaps>) -> Result<String, ArchiveError> {
     let Some(maps) = maps else {
-        return Ok("<p class=\"aside\">This reconstruction was made before polar maps were kept: reconstruct the study again.</p>".to_owned());
+        return Ok(
+            "<p class=\"aside\">This reconstruction was made before polar maps were kept: reconstruct the study again.</p>".to_owned()
+        );
     };
     let mut html = String::from("<div class=\"maps\">");
     for map in &maps.maps {
         let unit = polar::shown_unit(map.quantity);
         let unit = if map.quantity == Quantity::Phase { "° of R-R" } else { unit };
-        let _ = write!(
-            html,
-            "<figure><figcaption><b>{}</b>, {unit}</figcaption>{}</figure>",
-            map.quantity.title(),
-            polar::small(maps, map)?
-        );
+        let _ =
+            write!(html, "<figure><figcaption><b>{}</b>, {unit}</figcaption>{}</figure>", map.quantity.title(), polar::small(maps, map)?);
     }
     html.push_str("</div>");
     if maps.rotation.source == RotationSource::Assumed {
-        html.push_str("<p class=\"aside\"><b>The rotation is not known</b>: the first row was taken for anterior, the first column for septal.</p>");
+        html.push_str(
+            "<p class=\"aside\"><b>The rotation is not known</b>: the first row was taken for anterior, the first column for septal.</p>",
+        );
     }
-    html.push_str("<p class=\"aside\">Apex in the middle; A anterior, S septal, I inferior, L lateral. Numbers: means of the 17 AHA segments.</p>");
+    html.push_str(
+        "<p class=\"aside\">Apex in the middle; A anterior, S septal, I inferior, L lateral. Numbers: means of the 17 AHA segments.</p>",
+    );
     Ok(html)
 }
 

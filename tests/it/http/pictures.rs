@@ -224,7 +224,9 @@ async fn assert_old_and_odd_reports_have_a_page(service: &Service, path: &str) {
     finished.report.study.study_instance_uid = Some("1.2.<i>3</i>".to_owned());
     let parts = Parts { maps: Some(&maps), surfaces: &surfaces };
     let html = page::write(&finished, &parts).unwrap();
-    assert!(html.contains("1.2.&lt;i&gt;3&lt;/i&gt;") && html.contains("&amp; &lt;b&gt;what") && html.contains("more in the report as JSON"));
+    assert!(
+        html.contains("1.2.&lt;i&gt;3&lt;/i&gt;") && html.contains("&amp; &lt;b&gt;what") && html.contains("more in the report as JSON")
+    );
     assert_prints_on_one_sheet("many", &html);
 
     let old = &mut finished.report;
