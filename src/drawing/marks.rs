@@ -184,7 +184,7 @@ fn letters(text: &str, size: f64, upright: bool) -> Letters {
     };
     let glyph = |letter: char| get_raster(letter, FontWeight::Regular, height);
     let glyphs: Vec<_> = text.chars().filter_map(|letter| glyph(letter).or_else(|| glyph('?'))).collect();
-    let (width, rows) = (glyphs.iter().map(|glyph| glyph.width()).sum(), height.val());
+    let (width, rows) = (glyphs.iter().map(noto_sans_mono_bitmap::RasterizedChar::width).sum(), height.val());
     let mut covered = vec![0.0; width * rows];
     let mut left = 0;
     for glyph in glyphs {

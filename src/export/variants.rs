@@ -63,9 +63,10 @@ impl Variants {
             let [right, up] = polar::in_disc(radius * DISC_RADIUS, degrees);
             [(0.5 + right) as f32, (0.5 - up) as f32]
         };
-        let of_vertex = middles.zip(&places.of_vertex).map(|(middle, place)| match place {
-            Some(place) => in_texture(place.radius, place.degrees),
-            None => {
+        let of_vertex = middles.zip(&places.of_vertex).map(|(middle, place)| {
+            if let Some(place) = place {
+                in_texture(place.radius, place.degrees)
+            } else {
                 let from = middle - places.centre_mm;
                 in_texture(LID_RADIUS, from.dot(septal).atan2(from.dot(anterior)).to_degrees())
             }

@@ -396,7 +396,7 @@ fn the_stored_file_is_read_back_as_it_was_written() {
         for gate in [1, 5, 8] {
             for surface in Surface::BOTH {
                 let StoredSurface { points, normals, triangles } = stored.surface(surface, gate).unwrap();
-                let mesh = Mesh { positions: points, triangles };
+                let mesh = Mesh { positions: points, triangles: triangles.into() };
                 let volume_ml = reconstruction.gates[gate - 1].volume_ml(surface);
                 assert!(mesh.is_closed() && relative(mesh.signed_volume_mm3() * 1e6, volume_ml) < 1e-4);
                 assert!(normals.iter().all(|normal| (normal.length() - 1.0).abs() < 1e-5));

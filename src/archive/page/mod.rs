@@ -105,8 +105,8 @@ fn facts(finished: &Finished) -> String {
     fact("Voxels", Some(format!("{columns} × {rows} × {slices} of {x:.2} × {y:.2} × {z:.2} mm")));
     fact("Computed", Some(finished.finished_at.strftime("%Y-%m-%d %H:%M UTC").to_string()));
     fact("Reconstruction", Some(finished.id.to_string()));
-    let items: String = facts.iter().map(|(name, value)| format!("<div><dt>{name}</dt> <dd>{}</dd></div>", escaped(value))).collect();
-    format!("<dl class=\"facts\">{items}</dl>\n")
+    let items: Vec<String> = facts.iter().map(|(name, value)| format!("<div><dt>{name}</dt> <dd>{}</dd></div>", escaped(value))).collect();
+    format!("<dl class=\"facts\">{}</dl>\n", items.concat())
 }
 
 /// All maps, or why there are none.
@@ -150,7 +150,7 @@ fn remarks(finished: &Finished) -> String {
         letters <= REMARKS.1
     };
     let shown: Vec<&Remark> = report.warnings.iter().take(REMARKS.0).take_while(fits).collect();
-    let items: String = shown
+    let items: Vec<String> = shown
         .iter()
         .map(|remark| {
             let gate = remark.gate.map_or_else(String::new, |gate| format!("Gate {gate}: "));
@@ -160,7 +160,7 @@ fn remarks(finished: &Finished) -> String {
     let more = report.warnings.len() - shown.len();
     let more = if more == 0 { String::new() } else { format!("<li>And {more} more in the report as JSON.</li>") };
     let many = if shown.len() > 4 { " many" } else { "" };
-    let list = if report.warnings.is_empty() { "<p>No warnings.</p>".to_owned() } else { format!("<ul>{items}{more}</ul>") };
+    let list = if report.warnings.is_empty() { "<p>No warnings.</p>".to_owned() } else { format!("<ul>{}{more}</ul>", items.concat()) };
     format!(
         "<section class=\"remarks{many}\"><h2>Quality and warnings</h2><p>Score {:.2} of 1, {flags}.</p>{list}</section>\n",
         quality.score

@@ -52,17 +52,19 @@ pub(super) fn volumes(report: &Report) -> String {
     format!("<section><h2>Function</h2><table>{rows}</table>{about}{coarse}{}</section>\n", shape(report))
 }
 
+/// One number of a shape.
+type OfShape = fn(&ShapeReport) -> f64;
+
 /// Length and width at both ends of the cycle.
 fn shape(report: &Report) -> String {
     let Some(shape) = &report.shape else { return String::new() };
-    type Value = fn(&ShapeReport) -> f64;
-    let rows: [(&str, usize, Value); 4] = [
+    let rows: [(&str, usize, OfShape); 4] = [
         ("Long axis, mm", 0, |shape| shape.long_axis_mm),
         ("Short axis, mm", 0, |shape| shape.short_axis_mm),
         ("Sphericity index", 2, |shape| shape.sphericity_index),
         ("Eccentricity", 2, |shape| shape.eccentricity),
     ];
-    let row = |(name, decimals, value): (&str, usize, Value)| {
+    let row = |(name, decimals, value): (&str, usize, OfShape)| {
         let systole = shape.end_systole.as_ref().map_or_else(String::new, |shape| number(value(shape), decimals));
         format!("<tr><td>{name}</td><td>{}</td><td>{systole}</td></tr>", number(value(&shape.end_diastole), decimals))
     };
@@ -73,19 +75,16 @@ fn shape(report: &Report) -> String {
 
 /// Perfusion and phase of the whole wall.
 pub(super) fn perfusion(report: &Report) -> String {
-    let mut html = String::new();
-    if let Some(perfusion) = &report.perfusion {
-        let segments: Vec<String> = perfusion.defect_segments.iter().map(ToString::to_string).collect();
-        let segments = if segments.is_empty() { "none".to_owned() } else { segments.join(", ") };
-        html += &format!(
-            "<div class=\"gap\"></div><h2>Perfusion below {:.0} %</h2><table>{}{}{}<tr><td>Segments</td><td colspan=\"2\">{segments}</td></tr></table>",
-            perfusion.threshold_percent,
-            plain("Extent", perfusion.extent_percent, 0, "% of wall"),
-            plain("Area", perfusion.area_cm2, 1, "cm²"),
-            plain("Severity", perfusion.severity_percent, 0, "%"),
-        );
-    }
-    html
+    let Some(perfusion) = &report.perfusion else { return String::new() };
+    let segments: Vec<String> = perfusion.defect_segments.iter().map(ToString::to_string).collect();
+    let segments = if segments.is_empty() { "none".to_owned() } else { segments.join(", ") };
+    format!(
+        "<div class=\"gap\"></div><h2>Perfusion below {:.0} %</h2><table>{}{}{}<tr><td>Segments</td><td colspan=\"2\">{segments}</td></tr></table>",
+        perfusion.threshold_percent,
+        plain("Extent", perfusion.extent_percent, 0, "% of wall"),
+        plain("Area", perfusion.area_cm2, 1, "cm²"),
+        plain("Severity", perfusion.severity_percent, 0, "%"),
+    )
 }
 
 /// Means of the coronary arteries' territories.
@@ -93,7 +92,7 @@ pub(super) fn territories(report: &Report) -> String {
     let Some(regional) = &report.regional else { return String::new() };
     let cell = |value: Option<f64>, decimals: usize| value.map_or_else(|| "–".to_owned(), |value| number(value, decimals));
     let parts = regional.territories.iter().map(|territory| (territory.territory.as_str(), &territory.values));
-    let rows: String = parts
+    let rows: Vec<String> = parts
         .chain([("Wall", &regional.whole)])
         .map(|(name, values)| {
             format!(
@@ -107,7 +106,8 @@ pub(super) fn territories(report: &Report) -> String {
         .collect();
     format!(
         "<div class=\"gap\"></div><h2>Territories</h2><table><thead><tr><th></th><th>perf.<br>%</th><th>thick.<br>%</th><th>motion<br>mm</th><th>phase<br>°</th>\
-         </tr></thead>{rows}</table>"
+         </tr></thead>{}</table>",
+        rows.concat()
     )
 }
 
