@@ -76,7 +76,7 @@ impl Quantity {
         }
     }
 
-    /// Name of the colour scale it is drawn in ([`crate::drawing::scale::Scale`]).
+    /// Name of the colour scale it is drawn in (`Scale` of the module `drawing`).
     pub fn colour_scale(self) -> &'static str {
         match self {
             Self::Perfusion => "inferno",
