@@ -196,7 +196,7 @@ async fn stored_surface(state: &AppState, id: Uuid, gate: u32, surface: Surface,
 }
 
 /// What results are made from, or why there are none.
-async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
+pub(super) async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
     let report = stored_report(store, id, name).await?;
     let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     let subject = store.subject(id).await?;
@@ -212,7 +212,8 @@ pub(super) async fn stored_report(store: &Store, id: Uuid, name: &str) -> Result
     })
 }
 
-async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
+/// Why a job has no such result.
+pub(super) async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
     let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     Ok(Problem::no_result(&job, name))
 }

@@ -16,6 +16,7 @@ mod health;
 mod layers;
 mod listener;
 mod negotiate;
+mod pictures;
 mod problem;
 mod reconstructions;
 mod results;
@@ -219,6 +220,9 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::epicardial))
         .routes(routes!(results::wall))
         .routes(routes!(comparison::comparison))
+        .routes(routes!(results::polar_maps))
+        .routes(routes!(pictures::polar_map))
+        .routes(routes!(pictures::report_page))
         .routes(routes!(archived::sr))
         .routes(routes!(archived::fhir))
         .routes(routes!(archived::endocardial_stl))

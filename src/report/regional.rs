@@ -1,7 +1,7 @@
 //! The wall by segments and territories: perfusion, thickness, thickening, motion, phase.
 
 use crate::analysis::{
-    Analysis, RotationSource,
+    Analysis, Places, RotationSource,
     segments::{self, Average, Territory},
 };
 use serde::{Deserialize, Serialize};
@@ -87,14 +87,21 @@ pub struct RegionalValues {
     pub phase_degrees: Option<f64>,
 }
 
+impl Rotation {
+    /// As the places were told.
+    pub(super) fn of(places: &Places) -> Self {
+        let [anterior, septal, _] = places.axes;
+        Self { source: places.rotation, anterior: anterior.to_array(), septal: septal.to_array() }
+    }
+}
+
 impl RegionalSummary {
     /// Of an analysis.
     pub(super) fn of(analysis: &Analysis) -> Self {
         let places = &analysis.places;
-        let [anterior, septal, _] = places.axes;
         let values = |wanted: &dyn Fn(usize) -> bool| values(analysis, wanted);
         Self {
-            rotation: Rotation { source: places.rotation, anterior: anterior.to_array(), septal: septal.to_array() },
+            rotation: Rotation::of(places),
             segments: segments::ALL
                 .iter()
                 .map(|segment| SegmentReport {

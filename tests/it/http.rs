@@ -6,6 +6,7 @@ mod comparison;
 mod following;
 mod harness;
 mod operating;
+mod pictures;
 mod presets;
 mod pressure;
 mod refusing;

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
-# (libgdcm-tools) for DICOM, strace for what is written to disk, Node with the validators for glTF, FHIR and JSON Schema, Python with highdicom for structured
+# (libgdcm-tools) for DICOM, strace for what is written to disk, Chromium for what the page prints to, Node with the validators for glTF, FHIR
+# and JSON Schema, Python with highdicom for structured
 # reports, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
@@ -17,6 +18,7 @@ command -v dciodvfy >/dev/null || missing+=(dicom3tools)
 command -v dcmcjpls >/dev/null || missing+=(dcmtk)
 command -v gdcmconv >/dev/null || missing+=(libgdcm-tools)
 command -v strace >/dev/null || missing+=(strace)
+command -v chromium >/dev/null || missing+=(chromium)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)
 # Debian's python3 has venv but not what fills it.
