@@ -43,7 +43,7 @@ pub(crate) struct Args {
     ablation: bool,
 
     /// Runs the hearts whose parts beat, thicken or take up differently, and no other phantoms.
-    #[arg(long, conflicts_with_all = ["family", "every", "methods", "ablation", "plots"])]
+    #[arg(long, conflicts_with_all = ["methods", "ablation", "plots"])]
     regional: bool,
 
     /// A folder of labelled studies: `labels.json` and NIfTI files.
@@ -163,7 +163,11 @@ fn parts_of_hearts(args: &Args, output: &Output<'_>, threads: usize) -> anyhow::
             let _ = writeln!(std::io::stdout().lock(), "{}", regional::score::line(run));
         }
     };
-    let runs = regional::run(&regional::family::hearts(), threads, each)?;
+    let chosen = regional::family::hearts()
+        .into_iter()
+        .filter(|heart| args.family.as_ref().is_none_or(|name| heart.kind.name().contains(name.as_str())));
+    let hearts: Vec<_> = chosen.step_by(args.every.max(1)).collect();
+    let runs = regional::run(&hearts, threads, each)?;
     output.put("regional hearts", &regional::tables::definitions())?;
     output.put("regional criteria", &criteria::markdown(&regional::criteria::judged(&runs)))?;
     output.put("regional segments", &regional::tables::segments(&runs))?;
