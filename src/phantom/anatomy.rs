@@ -42,7 +42,7 @@ pub struct Defect {
     /// Where it is.
     pub site: Site,
     /// Its share of the wall's volume, in `[0, 1]`, exact at every gate: an apical defect ends at the height that cuts off this share, the
-    /// others are sectors from apex to base.
+    /// others are sectors from apex to base. Of a wall with [`super::Regional`] parts it is the share that it would be without them.
     pub extent: f64,
     /// Share of the uptake that is lost, in `[0, 1]`.
     pub severity: f64,

@@ -44,13 +44,13 @@ pub fn of(heart: &Heart, simulation: &Simulation) -> Option<Exact> {
     let slope = |t: f64| (volume(t + SLOPE_STEP) - volume(t - SLOPE_STEP)) / (2.0 * SLOPE_STEP);
     let continuous = analysis.cycle.as_ref().map(|_| Rates::of(&volume, &slope));
     let uptake = &surfaces[analysis.end_diastole].uptake;
-    let missing: f64 = analysis
+    let missing = analysis
         .places
         .of_vertex
         .iter()
         .zip(uptake)
         .filter_map(|(place, &uptake)| (uptake < DEFECT_UPTAKE).then_some(place.as_ref()?.area_mm2))
-        .sum();
+        .fold(0.0, |sum, area| sum + area);
     let ends_ml = (simulation.truth.edv_ml, simulation.truth.esv_ml);
     Some(Exact { defect_percent: 100.0 * missing / analysis.places.area_mm2(), analysis, continuous, ends_ml })
 }
