@@ -63,3 +63,4 @@ LABELLED ?= ../shared/data/gated-short-axis
 accuracy: build ## measures both presets on phantoms and labelled studies into docs/accuracy.md (about half an hour)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --ablation --write docs/accuracy.md --plots docs/accuracy \
 		$(if $(wildcard $(LABELLED)/labels.json),--real $(LABELLED))
+	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --regional --write docs/accuracy.md

@@ -43,7 +43,7 @@ pub struct Cycle {
 
 impl Cycle {
     /// From the cavity's volume in ml at every gate; `None` for fewer than four gates.
-    pub(super) fn of(study: &Study, cavity_ml: &[f64]) -> Option<Self> {
+    pub fn of(study: &Study, cavity_ml: &[f64]) -> Option<Self> {
         if cavity_ml.len() < FEWEST_GATES {
             return None;
         }
@@ -70,12 +70,64 @@ impl Cycle {
         let coefficients = least_squares(&gate_phase, gate_ml, count);
         let volume = |t: f64| series(&coefficients, t);
         let rate = |t: f64| slope(&coefficients, t);
+        let rates = Rates::of(&volume, &rate);
+        let residual = gate_phase.iter().zip(gate_ml).map(|(&t, ml)| (volume(t) - ml).powi(2)).sum::<f64>() / gates as f64;
+        Self {
+            rr_interval_ms,
+            gate_ml: gate_ml.to_vec(),
+            mean_ml: coefficients[0],
+            harmonics: coefficients[1..]
+                .chunks_exact(2)
+                .map(|pair| (pair[0].hypot(pair[1]), pair[1].atan2(pair[0]).to_degrees().rem_euclid(360.0)))
+                .collect(),
+            residual_ml: residual.sqrt(),
+            largest_ml: rates.largest_ml,
+            peak_emptying: rates.peak_emptying,
+            peak_filling: rates.peak_filling,
+            mean_filling_first_third: rates.mean_filling_first_third,
+            time_to_peak_filling: rates.time_to_peak_filling,
+            end_systole: rates.end_systole,
+            time_to_peak_emptying: rates.time_to_peak_emptying,
+            gate_phase,
+        }
+    }
+
+    /// Volume of the series in ml at a part of the R-R interval.
+    pub fn volume_ml(&self, t: f64) -> f64 {
+        let wave =
+            |(index, (amplitude, degrees)): (usize, &(f64, f64))| amplitude * (TAU * (index + 1) as f64 * t - degrees.to_radians()).cos();
+        self.mean_ml + self.harmonics.iter().enumerate().map(wave).sum::<f64>()
+    }
+}
+
+/// Rates of emptying and filling of a curve; times are parts of the R-R interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rates {
+    /// The largest volume in ml.
+    pub largest_ml: f64,
+    /// Where the volume is least, from the R wave.
+    pub end_systole: f64,
+    /// Peak emptying rate as a part of the largest volume a cycle; positive.
+    pub peak_emptying: f64,
+    /// From the R wave to the peak emptying rate.
+    pub time_to_peak_emptying: f64,
+    /// Peak filling rate between end systole and the largest volume after it likewise.
+    pub peak_filling: f64,
+    /// From end systole to the peak filling rate.
+    pub time_to_peak_filling: f64,
+    /// Mean filling rate over the first third of that time likewise.
+    pub mean_filling_first_third: f64,
+}
+
+impl Rates {
+    /// Of a volume in ml over the cycle, of period 1, and its slope.
+    pub fn of(volume: &dyn Fn(f64) -> f64, rate: &dyn Fn(f64) -> f64) -> Self {
         let instants = || (0..INSTANTS).map(|step| step as f64 / INSTANTS as f64);
         let lowest =
             |of: &dyn Fn(f64) -> f64| instants().fold((0.0, f64::INFINITY), |best, t| if of(t) < best.1 { (t, of(t)) } else { best });
-        let (end_systole, _) = lowest(&volume);
+        let (end_systole, _) = lowest(volume);
         let largest_ml = instants().map(volume).fold(f64::NEG_INFINITY, f64::max);
-        let (time_to_peak_emptying, emptying) = lowest(&rate);
+        let (time_to_peak_emptying, emptying) = lowest(rate);
         let (mut end_diastole, mut end_ml, mut peak, mut peak_after) = (0.0, f64::NEG_INFINITY, f64::NEG_INFINITY, 0.0);
         for after in instants() {
             let ml = volume(end_systole + after);
@@ -91,32 +143,15 @@ impl Cycle {
         }
         let third = end_diastole / 3.0;
         let first_third = if third > 0.0 { (volume(end_systole + third) - volume(end_systole)) / third } else { 0.0 };
-        let residual = gate_phase.iter().zip(gate_ml).map(|(&t, ml)| (volume(t) - ml).powi(2)).sum::<f64>() / gates as f64;
         Self {
-            rr_interval_ms,
-            gate_ml: gate_ml.to_vec(),
-            mean_ml: coefficients[0],
-            harmonics: coefficients[1..]
-                .chunks_exact(2)
-                .map(|pair| (pair[0].hypot(pair[1]), pair[1].atan2(pair[0]).to_degrees().rem_euclid(360.0)))
-                .collect(),
-            residual_ml: residual.sqrt(),
             largest_ml,
-            peak_emptying: -emptying / largest_ml,
-            peak_filling: peak / largest_ml,
-            mean_filling_first_third: first_third / largest_ml,
-            time_to_peak_filling: peak_after,
             end_systole,
+            peak_emptying: -emptying / largest_ml,
             time_to_peak_emptying,
-            gate_phase,
+            peak_filling: peak / largest_ml,
+            time_to_peak_filling: peak_after,
+            mean_filling_first_third: first_third / largest_ml,
         }
-    }
-
-    /// Volume of the series in ml at a part of the R-R interval.
-    pub fn volume_ml(&self, t: f64) -> f64 {
-        let wave =
-            |(index, (amplitude, degrees)): (usize, &(f64, f64))| amplitude * (TAU * (index + 1) as f64 * t - degrees.to_radians()).cos();
-        self.mean_ml + self.harmonics.iter().enumerate().map(wave).sum::<f64>()
     }
 }
 

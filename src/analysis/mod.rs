@@ -7,6 +7,7 @@
 
 mod counts;
 pub mod cycle;
+mod neighbourhood;
 pub mod perfusion;
 pub mod phase;
 pub mod places;
@@ -29,6 +30,7 @@ use crate::{
     pipeline::{Reconstruction, Surface},
     study::Study,
 };
+use neighbourhood::Neighbourhoods;
 
 /// Everything that is derived.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,7 +59,8 @@ pub fn analyse(study: &Study, reconstruction: &Reconstruction) -> Analysis {
     let (end_diastole, end_systole) = ends(&cavity_ml);
     let places = Places::of(study, reconstruction, end_diastole);
     let walls = Walls::of(reconstruction, &places, end_diastole, end_systole);
-    let counts = counts::along_the_wall(study, reconstruction, &places);
+    let neighbourhoods = Neighbourhoods::of(reconstruction, &places, end_diastole);
+    let counts: Vec<_> = counts::along_the_wall(study, reconstruction, &places).iter().map(|gate| neighbourhoods.means(gate)).collect();
     let perfusion = Perfusion::of(&counts, &places, reconstruction);
     let phase = Phase::of(&counts, &places);
     let cycle = Cycle::of(study, &cavity_ml);

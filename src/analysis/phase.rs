@@ -34,8 +34,8 @@ pub struct Phase {
 }
 
 impl Phase {
-    /// From the counts at every gate, `[gates][vertices]`; `None` for too few gates or where nothing moves.
-    pub(super) fn of(counts: &[Vec<Option<f64>>], places: &Places) -> Option<Self> {
+    /// From the counts (or anything that rises as they do) at every gate, `[gates][vertices]`; `None` for too few gates or where nothing moves.
+    pub fn of(counts: &[Vec<Option<f64>>], places: &Places) -> Option<Self> {
         let gates = counts.len();
         if gates < FEWEST_GATES {
             return None;

@@ -1,7 +1,7 @@
 //! Simulated gated studies whose volumes are known exactly.
 //!
-//! A [`Phantom`] is a shape with closed-form volumes ([`shape`], [`solid`]), placed and deformed without changing them ([`pose`]), given
-//! uptake and surroundings ([`anatomy`]) and seen by a camera ([`camera`], Poisson noise). [`simulate`] makes a [`Study`] and the
+//! A [`Phantom`] is a shape with closed-form volumes ([`shape`], [`solid`]), parts of whose wall may contract otherwise ([`Regional`]), placed and
+//! deformed without changing them ([`pose`]), given uptake and surroundings ([`anatomy`]) and seen by a camera ([`camera`], Poisson noise). [`simulate`] makes a [`Study`] and the
 //! [`Truth`] from it; [`dicom`] and [`nifti`] write studies as files. The same phantom gives the same study, bit by bit, with the same UIDs.
 //!
 //! Every gate is the curve of [`cycle`] sampled at the gate's centre (or averaged over several phases of the gate, see
@@ -21,6 +21,7 @@ pub mod nifti;
 mod noise;
 pub mod pose;
 mod presets;
+mod regional;
 pub mod shape;
 pub mod solid;
 mod truth;
@@ -30,6 +31,7 @@ pub use camera::{Psf, Tail};
 pub use decoy::Decoy;
 pub use exact::ExactSurfaces;
 pub use pose::{Deformation, Pose};
+pub use regional::Regional;
 pub use shape::{Cylinder, Shape, Ventricle};
 pub use truth::{GateTruth, Truth};
 
@@ -53,6 +55,9 @@ pub struct Phantom {
     pub uptake: Uptake,
     /// Grid, gates, blur and noise.
     pub imaging: Imaging,
+    /// Parts of a beating ventricle's wall with a function of their own. None (the default): all of it beats alike.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub regional: Vec<Regional>,
 }
 
 /// How the phantom is seen.

@@ -67,7 +67,7 @@ pub struct TerritoryReport {
 pub struct RegionalValues {
     /// Its area half way through the wall at end diastole, in cm².
     pub area_cm2: f64,
-    /// Largest counts through the wall, the mean over the gates, in percent of the wall's maximum.
+    /// Mean counts through the wall and its surroundings, the mean over the gates, in percent of the wall's maximum.
     #[schema(required)]
     pub perfusion_percent: Option<f64>,
     /// Thickness at end diastole (at the one gate of an ungated study) in mm.

@@ -28,6 +28,7 @@ mod pipeline;
 mod place;
 mod pose;
 mod quality;
+mod regional;
 mod report;
 mod restart;
 mod retention;
