@@ -55,7 +55,9 @@ impl Refusal {
             },
             Self::OtherStudy => 0xA900,
             Self::Submit(SubmitError::InstanceConflict | SubmitError::KeyReused) => 0x0110,
-            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::Store(_)) => 0xA700,
+            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::InstancesGone | SubmitError::Store(_)) => {
+                0xA700
+            }
         }
     }
 
