@@ -216,6 +216,20 @@ impl Store {
         rows.iter().map(|row| Ok(Series { owner: row.get(0)?, study_uid: row.get(1)?, series_uid: row.get(2)? })).collect()
     }
 
+    /// Tells the metrics what waits for the rest of its study.
+    pub async fn publish_waiting(&self) -> Result<(), StoreError> {
+        let sql = "SELECT COUNT(*), CAST(COALESCE(SUM(bytes), 0) AS BIGINT), {now} - MIN(latest) FROM (
+                SELECT SUM(size) AS bytes, MAX(received_at) AS latest FROM instances WHERE job_id IS NULL
+                GROUP BY owner, study_instance_uid, series_instance_uid
+            ) AS waiting";
+        let Some(row) = self.inner.database.fetch_one(sql, vec![]).await? else { return Ok(()) };
+        metrics::gauge!("ventricle_series_waiting").set(row.get::<i64>(0)? as f64);
+        metrics::gauge!("ventricle_series_waiting_bytes").set(row.get::<i64>(1)? as f64);
+        let quiet_s = row.get::<Option<i64>>(2)?.map_or(0.0, |ms| ms.max(0) as f64 / 1e3);
+        metrics::gauge!("ventricle_series_quiet_seconds").set(quiet_s);
+        Ok(())
+    }
+
     /// The excerpt of an instance; `None` if it is not there any more.
     pub async fn excerpt(&self, owner: &str, instance_uid: &str) -> Result<Option<Vec<u8>>, StoreError> {
         let sql = "SELECT data, sha256 FROM instances WHERE owner = $1 AND sop_instance_uid = $2 AND data IS NOT NULL";

@@ -225,6 +225,10 @@ fn what_is_refused_is_named_with_its_reason_and_stored_nowhere() {
     let changed = parted::with(&good, &[(tags::HEART_RATE, VR::IS, "61")]);
     let answer = store(&service, &[changed]);
     assert_eq!((answer.status, reasons(&answer, "00081198")), (409, vec![0x0110]));
+    assert_eq!(store(&service, &[&good]).status, 200);
+    let series = |outcome: &str| format!("ventricle_instances_received_total{{way=\"stow\",outcome=\"{outcome}\"}}");
+    let counted = ["study", "known", "conflict", "refused", "part"].map(|outcome| service.metric(&series(outcome)) as u64);
+    assert_eq!(counted, [1, 1, 1, 6, 0]);
     finished(&service, &uid, 1);
     assert_eq!(service.get("/v1/reconstructions").json()["reconstructions"].as_array().unwrap().len(), 1);
 
