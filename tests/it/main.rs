@@ -14,6 +14,7 @@ mod fuzz;
 mod hostile;
 mod http;
 mod imports;
+mod inbox;
 mod intake;
 mod jobs;
 mod missing;
