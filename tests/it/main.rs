@@ -6,6 +6,7 @@ mod backup;
 mod chaos;
 mod cluster;
 mod codecs;
+mod conformance;
 mod demo;
 mod dicomweb;
 mod dimse;
