@@ -9,7 +9,7 @@ mod reception;
 mod series;
 
 pub use parsers::{NotParsed, Parsers};
-pub use reception::{Outcome, Received, Reception, Refusal};
+pub use reception::{Outcome, Received, Reception, Refusal, Way};
 
 use crate::{
     intake::{self, IntakeError},
@@ -61,8 +61,8 @@ impl Assembler {
     }
 
     /// Begins to receive instances of an owner; only of one study, if that is said.
-    pub fn reception(&self, owner: &str, study_uid: Option<String>) -> Reception {
-        Reception::new(self.clone(), owner, study_uid)
+    pub fn reception(&self, owner: &str, way: Way, study_uid: Option<String>) -> Reception {
+        Reception::new(self.clone(), owner, way, study_uid)
     }
 
     /// Starts looking for series that went quiet.

@@ -114,6 +114,13 @@ impl Served {
         answer(self.agent.get(format!("{}{path}", self.url)).call().unwrap())
     }
 
+    /// The value of a metric with these labels, as `name{label="value"}`; 0 before it has one.
+    pub(crate) fn metric(&self, series: &str) -> f64 {
+        let text = String::from_utf8(self.get("/metrics").body).unwrap();
+        let value = text.lines().find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+        value.map_or(0.0, |value| value.parse().unwrap())
+    }
+
     /// Nothing where the process ended meanwhile.
     pub(crate) fn try_get(&self, path: &str) -> Option<Answer> {
         self.agent.get(format!("{}{path}", self.url)).call().ok().and_then(try_answer)
