@@ -109,6 +109,11 @@ fn read(files: &[impl AsRef<[u8]>], settings: &Settings) -> Result<intake::Recei
     intake::read(&parts, &options, &settings.limits)
 }
 
+/// Lower-case hexadecimal.
+fn hex(bytes: [u8; 32]) -> String {
+    bytes.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
+}
+
 fn digest(parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> [u8; 32] {
     let mut hash = Sha256::new();
     for part in parts {

@@ -1,10 +1,12 @@
 //! The instances of one request or association: each is looked at as it comes, committed to disk, and answered for.
 
-use super::{Assembler, Settings, digest, read};
+use super::{Assembler, Settings, digest, hex, read};
 use crate::{
     intake::{self, Holds, Instance, IntakeError},
     jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError, Submitted},
+    study::Study,
 };
+use sha2::{Digest as _, Sha256};
 use std::collections::BTreeSet;
 use uuid::Uuid;
 
@@ -202,7 +204,7 @@ impl Reception {
     async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<&'static str, Refusal> {
         let store = &self.assembler.store;
         let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
-        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.sha256]));
+        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.identity]));
         let submitted = store.submit_assembled(reservation, new, Members::Whole(instance)).await?;
         self.jobs.push(submitted.job().id);
         Ok(if matches!(submitted, Submitted::Created(_)) { "study" } else { "known" })
@@ -262,8 +264,21 @@ fn examine(bytes: &[u8], owner: String, settings: &Settings) -> Result<Examined,
     } else {
         None
     };
-    let Instance { class_uid, instance_uid, study_uid, series_uid, holds, excerpt } = instance;
+    let Instance { class_uid, instance_uid, study_uid, series_uid, holds, identity, excerpt } = instance;
+    let identity = hex(match &study {
+        Some(received) => whole(identity, &received.study),
+        None => identity,
+    });
     let holds = serde_json::to_string(&holds).unwrap_or_default();
     let series = Series { owner, study_uid, series_uid };
-    Ok(Examined { instance: NewInstance::new(series, class_uid, instance_uid, holds, excerpt), study })
+    Ok(Examined { instance: NewInstance::new(series, class_uid, instance_uid, holds, identity, excerpt), study })
+}
+
+/// What an instance that is a study says, and its counts.
+fn whole(identity: [u8; 32], study: &Study) -> [u8; 32] {
+    let mut hash = Sha256::new_with_prefix(identity);
+    for count in study.gates.iter().flat_map(|gate| &gate.volume.counts) {
+        hash.update(count.to_le_bytes());
+    }
+    hash.finalize().into()
 }

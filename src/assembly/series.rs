@@ -1,6 +1,6 @@
 //! The parts of a series, put together when all are there or when no more seem to come.
 
-use super::{Assembler, digest, read};
+use super::{Assembler, digest, hex, read};
 use crate::{
     intake::{Holds, IntakeError, Nature, Received, sentence},
     jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
@@ -49,7 +49,7 @@ impl Assembler {
     async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Uuid>, AssemblyError> {
         // Of a key that no client can send: it has a space.
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
-        let key = identity.iter().fold("dicom series ".to_owned(), |key, byte| format!("{key}{byte:02x}"));
+        let key = format!("dicom series {}", hex(identity));
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
         // Its bytes are known, and judged, when it is stored.
         let reservation = self.store.reserve(0).map_err(SubmitError::from)?;

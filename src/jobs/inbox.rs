@@ -36,6 +36,8 @@ pub struct NewInstance {
     pub instance_uid: String,
     /// Which part of a study it is, as whoever assembles it wrote it down.
     pub holds: String,
+    /// What makes it the same instance when it comes again, however it is encoded.
+    pub identity: String,
     /// The excerpt.
     pub data: Vec<u8>,
     /// Its SHA-256 in lower-case hexadecimal.
@@ -44,8 +46,8 @@ pub struct NewInstance {
 
 impl NewInstance {
     /// With the SHA-256 of its excerpt, for which large ones take their time: not for a thread of the runtime.
-    pub fn new(series: Series, class_uid: String, instance_uid: String, holds: String, data: Vec<u8>) -> Self {
-        Self { series, class_uid, instance_uid, holds, sha256: sha256(&data), data }
+    pub fn new(series: Series, class_uid: String, instance_uid: String, holds: String, identity: String, data: Vec<u8>) -> Self {
+        Self { series, class_uid, instance_uid, holds, identity, sha256: sha256(&data), data }
     }
 }
 
@@ -177,17 +179,17 @@ impl Store {
     }
 
     async fn insert_instance(&self, transaction: &mut Transaction, instance: NewInstance, job: Option<Uuid>) -> Result<(), StoreError> {
-        let NewInstance { series, class_uid, instance_uid, holds, data, sha256 } = instance;
+        let NewInstance { series, class_uid, instance_uid, holds, identity, data, sha256 } = instance;
         let size = data.len() as i64;
-        let fields = values![series.owner, instance_uid, class_uid, series.study_uid, series.series_uid, holds, sha256, size];
+        let fields = values![series.owner, instance_uid, class_uid, series.study_uid, series.series_uid, holds, sha256, size, identity];
         let (job, data) = match job {
             Some(job) => (Some(job.to_string()), None),
             None => (None, Some(data)),
         };
         let sql = self.inner.database.render(
             "INSERT INTO instances (owner, sop_instance_uid, sop_class_uid, study_instance_uid, series_instance_uid, holds, sha256, size,
-                job_id, data, received_at)
-            VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, {now})",
+                identity, job_id, data, received_at)
+            VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, {now})",
         );
         transaction.execute(&sql, fields.into_iter().chain(values![job, data]).collect()).await.map(drop)
     }
@@ -289,10 +291,12 @@ struct Known {
 }
 
 async fn known(transaction: &mut Transaction, instance: &NewInstance) -> Result<Option<Known>, StoreError> {
-    let sql = "SELECT sha256, job_id FROM instances WHERE owner = $1 AND sop_instance_uid = $2";
+    let sql = "SELECT COALESCE(identity, sha256), job_id FROM instances WHERE owner = $1 AND sop_instance_uid = $2";
     let Some(row) = transaction.fetch_one(sql, values![instance.series.owner.as_str(), instance.instance_uid.as_str()]).await? else {
         return Ok(None);
     };
     let job = row.get::<Option<String>>(1)?.map(|id| parse_id(&id)).transpose()?;
-    Ok(Some(Known { same: row.get::<String>(0)? == instance.sha256, job }))
+    let stored = row.get::<String>(0)?;
+    // Version 4 compared the excerpts' bytes.
+    Ok(Some(Known { same: stored == instance.identity || stored == instance.sha256, job }))
 }

@@ -47,8 +47,10 @@ fn series() -> Series {
     series_of(OWNER, 1)
 }
 
+/// A part that says what its content says.
 fn part_of(series: Series, uid: &str, data: &[u8]) -> NewInstance {
-    NewInstance::new(series, "1.2.840.10008.5.1.4.1.1.20".to_owned(), uid.to_owned(), "{}".to_owned(), data.to_vec())
+    let said = String::from_utf8(data.to_vec()).unwrap();
+    NewInstance::new(series, "1.2.840.10008.5.1.4.1.1.20".to_owned(), uid.to_owned(), "{}".to_owned(), said, data.to_vec())
 }
 
 /// Files parts of the first series, each with its UID as its content.
@@ -117,6 +119,10 @@ async fn parts_are_filed_once_and_another_of_the_same_uid_is_a_conflict(place: &
     let elsewhere = part_of(series_of(OWNER, 2), "1.1", b"1.1");
     let filed = store.file(vec![part_of(series(), "1.1", b"1.1"), changed, elsewhere, part_of(series(), "1.3", b"1.3")]).await.unwrap();
     assert_eq!(filed, [Filed::Known, Filed::Conflict, Filed::Known, Filed::New]);
+    // The same in another encoding; the first one stays.
+    let encoded = NewInstance { data: b"1.1, encoded".to_vec(), sha256: "of it".to_owned(), ..part_of(series(), "1.1", b"1.1") };
+    assert_eq!(store.file(vec![encoded]).await.unwrap(), [Filed::Known]);
+    assert_eq!(store.excerpt(OWNER, "1.1").await.unwrap().as_deref(), Some(b"1.1".as_slice()));
     // Twice in one request.
     assert_eq!(file(&store, &["1.4", "1.4"]).await, [Filed::New, Filed::Known]);
     assert_eq!(kept(&store).await, with_job(&["1.1", "1.2", "1.3", "1.4"], None));
@@ -125,7 +131,11 @@ async fn parts_are_filed_once_and_another_of_the_same_uid_is_a_conflict(place: &
 
     // On disk, with what says which part each is.
     store.close().await;
+    // One of version 4, which kept no identity.
+    place.run("UPDATE instances SET identity = NULL WHERE sop_instance_uid = '1.1'".to_owned()).await;
     let store = place.open().await;
+    let filed = store.file(vec![part_of(series(), "1.1", b"1.1"), part_of(series(), "1.1", b"another")]).await.unwrap();
+    assert_eq!(filed, [Filed::Known, Filed::Conflict]);
     let parts = store.series(&series()).await.unwrap();
     assert!(parts.iter().all(|part| (part.holds.as_str(), part.size, part.sha256.len()) == ("{}", 3, 64)), "{parts:?}");
     // What a job has taken is known still, and another of its UID a conflict.
