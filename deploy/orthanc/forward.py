@@ -54,13 +54,43 @@ def send(instances):
     return None
 
 
+def series_of(instance):
+    """The series of an instance, nothing where it is deleted meanwhile."""
+    try:
+        return {get(f"/instances/{instance}")["ParentSeries"]}
+    except orthanc.OrthancException:
+        return set()
+
+
+def enqueue(state, series):
+    if eligible(series):
+        state["waiting"][series] = {"attempts": 0, "since": time.time(), "due": time.time()}
+
+
 def note_changes(state):
-    """Adds what became stable since the last look."""
-    page = get(f"/changes?since={state['seen']}&limit=100")
-    state["seen"] = page["Last"]
-    for change in page["Changes"]:
-        if change["ChangeType"] == "StableSeries" and eligible(change["ID"]):
-            state["waiting"][change["ID"]] = {"attempts": 0, "since": time.time(), "due": time.time()}
+    """Reads what changed since the last look: series that get instances are open, and to be sent once they are stable."""
+    done = False
+    while not done:
+        page = get(f"/changes?since={state['seen']}&limit=1000")
+        for change in page["Changes"]:
+            if change["ChangeType"] == "NewInstance":
+                state["open"] = sorted({*state["open"], *series_of(change["ID"])})
+            elif change["ChangeType"] == "StableSeries":
+                state["open"] = [series for series in state["open"] if series != change["ID"]]
+                enqueue(state, change["ID"])
+        state["seen"], done = page["Last"], page["Done"]
+
+
+def close_forgotten(state):
+    """Orthanc never says of a series that it is stable where it was stopped before: it simply is after the start."""
+    for series in state["open"]:
+        try:
+            if not get(f"/series/{series}")["IsStable"]:
+                continue
+            enqueue(state, series)
+        except orthanc.OrthancException:
+            pass  # deleted meanwhile
+        state["open"] = [other for other in state["open"] if other != series]
 
 
 def send_next(state):
@@ -87,10 +117,14 @@ def send_next(state):
 
 def work():
     kept = orthanc.GetGlobalProperty(PROPERTY, "")
-    state = json.loads(kept) if kept else {"seen": get("/changes?last")["Last"], "waiting": {}}
+    state = json.loads(kept) if kept else {"seen": get("/changes?last")["Last"], "open": [], "waiting": {}}
+    started = False
     while not stopping.wait(1):
         try:
             note_changes(state)
+            if not started:
+                close_forgotten(state)
+                started = True
             send_next(state)
         except Exception as error:  # whatever it was, the next round tries again
             orthanc.LogError(f"Forward: {type(error).__name__} {error}")
