@@ -1,4 +1,4 @@
-//! The DICOMweb client libraries that people write scripts with: Python's `dicomweb-client` and npm's, and the recipes of `docs/pacs.md`.
+//! The `DICOMweb` client libraries that people write scripts with: Python's `dicomweb-client` and npm's, and the recipes of `docs/pacs.md`.
 
 use crate::{
     dimse::write,
@@ -125,7 +125,7 @@ fn recipe(fence: &str, beginning: &str) -> String {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pacs.md")).unwrap();
     let start = text.find(&format!("```{fence}\n{beginning}")).unwrap_or_else(|| panic!("no recipe begins with {beginning}"));
     let block = &text[start + 3 + fence.len() + 1..];
-    block[..block.find("\n```").unwrap() + 1].to_owned()
+    block[..=block.find("\n```").unwrap()].to_owned()
 }
 
 /// That a folder holds the service's report and structured report of a job, under the names that the recipes give them.

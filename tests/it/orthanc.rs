@@ -341,7 +341,7 @@ fn pass(mut client: TcpStream, target: &str, heads: &Mutex<Vec<String>>) {
         let _ = std::io::copy(&mut back, &mut answered);
         let _ = answered.shutdown(Shutdown::Both);
     });
-    let (mut head, mut buffer) = (Some(Vec::new()), [0; 64 << 10]);
+    let (mut head, mut buffer) = (Some(Vec::new()), vec![0; 64 << 10]);
     while let Ok(length @ 1..) = client.read(&mut buffer) {
         if let Some(mut bytes) = head.take() {
             bytes.extend_from_slice(&buffer[..length]);
