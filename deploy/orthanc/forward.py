@@ -142,7 +142,8 @@ def on_change(change, level, resource):
         worker.start()
     elif change == orthanc.ChangeType.ORTHANC_STOPPED:
         stopping.set()
-        worker.join()
+        # Not longer: a job that is submitted right now waits for a lock that Orthanc holds until this returns.
+        worker.join(timeout=1)
 
 
 orthanc.RegisterOnChangeCallback(on_change)

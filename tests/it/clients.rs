@@ -83,12 +83,11 @@ fn python_s_client_returns_what_is_stored_and_what_is_not_and_raises_where_nothi
     let (files, ct, uids) = study(&folder, 50);
     // The study in two requests, and something else in the second.
     let first = store(&[&files[0], &files[1]]);
-    assert_eq!(first, json!({ "raised": null, "stored": uids[..2], "failed": [], "reasons": [] }));
+    assert_eq!(first, json!({ "statuses": [200], "raised": false, "stored": uids[..2], "failed": [], "reasons": [] }));
     let second = store(&[&files[2], &ct, &files[3]]);
-    assert_eq!(second, json!({ "raised": null, "stored": uids[2..], "failed": [CT], "reasons": [0x0122] }));
+    assert_eq!(second, json!({ "statuses": [202], "raised": false, "stored": uids[2..], "failed": [CT], "reasons": [0x0122] }));
     assert_eq!(the_job(&service)["state"], "succeeded");
-    // HTTP 409, which it raises.
-    assert_eq!(store(&[&ct]), json!({ "raised": 409, "stored": [], "failed": [], "reasons": [] }));
+    assert_eq!(store(&[&ct]), json!({ "statuses": [409], "raised": true, "stored": [], "failed": [], "reasons": [] }));
     // All of it again is the same job.
     assert_eq!(store(&files.iter().collect::<Vec<_>>())["stored"], json!(uids));
     assert_eq!(the_job(&service)["progress"]["gates_total"], parted::GATES);
@@ -108,13 +107,14 @@ fn npm_s_client_resolves_with_what_is_stored_and_what_is_not_and_rejects_where_n
     };
     let (files, ct, uids) = study(&folder, 51);
     let Some(first) = store(&[&files[0], &files[1]]) else { return };
-    assert_eq!((&first["rejected"], instances(&first["answer"], "00081199")), (&Value::Null, uids[..2].to_vec()), "{first:#}");
+    let outcome = |answer: &Value| (answer["status"].as_u64().unwrap(), answer["rejected"].as_bool().unwrap());
+    assert_eq!((outcome(&first), instances(&first["answer"], "00081199")), ((200, false), uids[..2].to_vec()), "{first:#}");
     let second = store(&[&files[2], &ct, &files[3]]).unwrap();
-    assert_eq!((&second["rejected"], instances(&second["answer"], "00081199")), (&Value::Null, uids[2..].to_vec()), "{second:#}");
+    assert_eq!((outcome(&second), instances(&second["answer"], "00081199")), ((202, false), uids[2..].to_vec()), "{second:#}");
     assert_eq!(instances(&second["answer"], "00081198"), [CT]);
     assert_eq!(the_job(&service)["state"], "succeeded");
     let third = store(&[&ct]).unwrap();
-    assert_eq!((&third["rejected"], instances(&third["answer"], "00081198")), (&json!(409), vec![CT.to_owned()]), "{third:#}");
+    assert_eq!((outcome(&third), instances(&third["answer"], "00081198")), ((409, true), vec![CT.to_owned()]), "{third:#}");
     let again = store(&files.iter().collect::<Vec<_>>()).unwrap();
     assert_eq!(instances(&again["answer"], "00081199"), uids);
     assert_eq!(the_job(&service)["progress"]["gates_total"], parted::GATES);

@@ -299,6 +299,8 @@ fn the_deployed_configuration_forwards_what_is_gated_by_itself_and_again_when_no
     let other = report_in(&orthanc, &parted::text_of(&next[0], tags::STUDY_INSTANCE_UID));
     assert_ne!(data_set(&other), data_set(&sr));
     let log = orthanc.log();
+    let [report] = orthanc.find("Series", &json!({ "StudyInstanceUID": uid, "Modality": "SR" })).try_into().unwrap();
+    assert!(!log.contains(&format!("series {report}")), "{log}");
     assert!(!log.lines().any(|line| line.contains("Forward") && line.contains("PHANTOM")), "{log}");
 }
 

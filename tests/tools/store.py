@@ -2,8 +2,8 @@
 
 usage: store.py URL FILE...
 
-URL is the root of the DICOMweb service. `status` is 200 where the client returned a data set, else what it raised; `stored` and `failed` are the SOP
-Instance UIDs in it, `reasons` the Failure Reasons of the latter.
+URL is the root of the DICOMweb service. `statuses` are those of the HTTP answers; `raised` says whether the client raised an error for the last.
+`stored` and `failed` are the SOP Instance UIDs in the data set that it returned else, `reasons` the Failure Reasons of the latter.
 """
 
 import json
@@ -14,16 +14,19 @@ import requests
 from dicomweb_client.api import DICOMwebClient
 
 url, *files = sys.argv[1:]
-client = DICOMwebClient(url)
+statuses = []
+session = requests.Session()
+session.hooks["response"].append(lambda response, **_: statuses.append(response.status_code))
 try:
-    answer, status = client.store_instances([pydicom.dcmread(file) for file in files]), None
-except requests.HTTPError as error:
-    answer, status = pydicom.Dataset(), error.response.status_code
+    answer, raised = DICOMwebClient(url, session=session).store_instances([pydicom.dcmread(file) for file in files]), False
+except requests.HTTPError:
+    answer, raised = pydicom.Dataset(), True
 stored, failed = (answer.get(name) or [] for name in ("ReferencedSOPSequence", "FailedSOPSequence"))
 print(
     json.dumps(
         {
-            "raised": status,
+            "statuses": statuses,
+            "raised": raised,
             "stored": [item.ReferencedSOPInstanceUID for item in stored],
             "failed": [item.ReferencedSOPInstanceUID for item in failed],
             "reasons": [item.FailureReason for item in failed],
