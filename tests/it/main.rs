@@ -4,6 +4,7 @@
 mod accuracy;
 mod backup;
 mod chaos;
+mod clients;
 mod cluster;
 mod codecs;
 mod conformance;
@@ -23,6 +24,7 @@ mod models;
 mod nodes;
 mod openapi;
 mod operations;
+mod orthanc;
 mod paper;
 mod parted;
 mod phantom;

@@ -50,8 +50,13 @@ impl Drop for Directory {
 impl Served {
     /// Starts the service on a data directory and waits until it says where it listens.
     pub(crate) fn start(data: &Path, flags: &[&str]) -> Self {
+        Self::start_at(data, "127.0.0.1:0", flags)
+    }
+
+    /// The same at an address.
+    pub(crate) fn start_at(data: &Path, listen: &str, flags: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_ventricle"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--log", "warn", "--data-dir"])
+            .args(["serve", "--listen", listen, "--log", "warn", "--data-dir"])
             .arg(data)
             .args(flags)
             .stdout(Stdio::piped())
@@ -178,7 +183,7 @@ impl Drop for Served {
     }
 }
 
-fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
+pub(crate) fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
     try_answer(response).unwrap()
 }
 

@@ -13,11 +13,10 @@ import highdicom
 import pydicom
 from pydicom.sr._concepts_dict import concepts
 
-# Meanings by scheme and value, in one pass: there are 15 000 codes.
 known = {}
 for scheme, names in concepts.items():
-    for group in names.values():
-        for value, (meaning, _) in group.items():
+    for values in names.values():
+        for value, (meaning, _) in values.items():
             known.setdefault((scheme, value), set()).add(meaning.casefold())
 
 

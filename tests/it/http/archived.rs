@@ -74,7 +74,7 @@ fn said(output: &Output) -> String {
 }
 
 /// That `dciodvfy` takes a file for an object of this kind and finds nothing wrong with it.
-fn assert_dciodvfy(path: &Path, kind: &str) {
+pub(crate) fn assert_dciodvfy(path: &Path, kind: &str) {
     let Some(output) = run("dciodvfy", &[], path) else { return absent("dicom3tools") };
     let said = said(&output);
     assert!(said.lines().any(|line| line == kind), "{}: {said}", path.display());
@@ -86,7 +86,7 @@ fn assert_dciodvfy(path: &Path, kind: &str) {
 }
 
 /// That `dsrdump` prints the document without complaint; what it prints.
-fn dsrdump(path: &Path) -> Option<String> {
+pub(crate) fn dsrdump(path: &Path) -> Option<String> {
     let Some(output) = run("dsrdump", &["--print-all-codes"], path) else {
         absent("dcmtk");
         return None;
@@ -100,7 +100,7 @@ fn dsrdump(path: &Path) -> Option<String> {
 }
 
 /// What highdicom reads from a structured report.
-fn highdicom(path: &Path) -> Option<Value> {
+pub(crate) fn highdicom(path: &Path) -> Option<Value> {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools");
     let python = tools.join(".venv/bin/python");
     if !python.exists() {
