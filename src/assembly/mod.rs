@@ -9,7 +9,7 @@ mod reception;
 mod series;
 
 pub use parsers::{NotParsed, Parsers};
-pub use reception::{Outcome, Received, Reception, Refusal};
+pub use reception::{Outcome, Received, Reception, Refusal, Way};
 
 use crate::{
     intake::{self, IntakeError},
@@ -61,8 +61,8 @@ impl Assembler {
     }
 
     /// Begins to receive instances of an owner; only of one study, if that is said.
-    pub fn reception(&self, owner: &str, study_uid: Option<String>) -> Reception {
-        Reception::new(self.clone(), owner, study_uid)
+    pub fn reception(&self, owner: &str, way: Way, study_uid: Option<String>) -> Reception {
+        Reception::new(self.clone(), owner, way, study_uid)
     }
 
     /// Starts looking for series that went quiet.
@@ -107,6 +107,11 @@ fn read(files: &[impl AsRef<[u8]>], settings: &Settings) -> Result<intake::Recei
     let parts: Vec<_> = files.iter().map(|file| part(file.as_ref())).collect();
     let options = intake::Options { keep_subject: settings.keep_subject, ..intake::Options::default() };
     intake::read(&parts, &options, &settings.limits)
+}
+
+/// Lower-case hexadecimal.
+fn hex(bytes: [u8; 32]) -> String {
+    bytes.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
 }
 
 fn digest(parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> [u8; 32] {

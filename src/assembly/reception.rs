@@ -1,15 +1,37 @@
 //! The instances of one request or association: each is looked at as it comes, committed to disk, and answered for.
 
-use super::{Assembler, Settings, digest, read};
+use super::{Assembler, Settings, digest, hex, read};
 use crate::{
     intake::{self, Holds, Instance, IntakeError},
-    jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError},
+    jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError, Submitted},
+    study::Study,
 };
+use sha2::{Digest as _, Sha256};
 use std::collections::BTreeSet;
 use uuid::Uuid;
 
 /// Excerpts held in memory until they are committed together.
 const BATCH_BYTES: usize = 16 << 20;
+
+/// How instances come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// By STOW-RS.
+    Stow,
+    /// By C-STORE.
+    Dimse,
+}
+
+impl Way {
+    /// Counts an instance by what became of it.
+    fn count(self, outcome: &'static str) {
+        let way = match self {
+            Self::Stow => "stow",
+            Self::Dimse => "dimse",
+        };
+        metrics::counter!("ventricle_instances_received_total", "way" => way, "outcome" => outcome).increment(1);
+    }
+}
 
 /// What became of one instance.
 #[derive(Debug)]
@@ -55,7 +77,18 @@ impl Refusal {
             },
             Self::OtherStudy => 0xA900,
             Self::Submit(SubmitError::InstanceConflict | SubmitError::KeyReused) => 0x0110,
-            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::Store(_)) => 0xA700,
+            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::InstancesGone | SubmitError::Store(_)) => {
+                0xA700
+            }
+        }
+    }
+
+    /// What it is counted as.
+    fn outcome(&self) -> &'static str {
+        match self.status() {
+            0x0110 => "conflict",
+            0xA700 => "unavailable",
+            _ => "refused",
         }
     }
 
@@ -82,6 +115,7 @@ pub struct Received {
 pub struct Reception {
     assembler: Assembler,
     owner: String,
+    way: Way,
     study_uid: Option<String>,
     outcomes: Vec<Outcome>,
     jobs: Vec<Uuid>,
@@ -91,6 +125,9 @@ pub struct Reception {
     series: BTreeSet<Series>,
 }
 
+/// SOP Class UID and SOP Instance UID, if they could be read.
+type Names = (Option<String>, Option<String>);
+
 /// An instance that was looked at, with its study if it is one.
 struct Examined {
     instance: NewInstance,
@@ -98,10 +135,11 @@ struct Examined {
 }
 
 impl Reception {
-    pub(super) fn new(assembler: Assembler, owner: &str, study_uid: Option<String>) -> Self {
+    pub(super) fn new(assembler: Assembler, owner: &str, way: Way, study_uid: Option<String>) -> Self {
         Self {
             assembler,
             owner: owner.to_owned(),
+            way,
             study_uid,
             outcomes: Vec::new(),
             jobs: Vec::new(),
@@ -118,21 +156,20 @@ impl Reception {
         let examined = self.assembler.parse(move |settings| examine(bytes.as_ref(), owner, settings)).await;
         let Examined { instance, study } = match examined {
             Ok(Ok(examined)) => examined,
-            Ok(Err(refused)) => return self.answer(refused.class_uid, refused.instance_uid, Err((*refused.error).into())),
-            Err(error) => return self.answer(None, None, Err(error.into())),
+            Ok(Err(refused)) => return self.settle((refused.class_uid, refused.instance_uid), Err((*refused.error).into())),
+            Err(error) => return self.settle((None, None), Err(error.into())),
         };
         let names = (Some(instance.class_uid.clone()), Some(instance.instance_uid.clone()));
         if self.study_uid.as_ref().is_some_and(|wanted| *wanted != instance.series.study_uid) {
-            return self.answer(names.0, names.1, Err(Refusal::OtherStudy));
+            return self.settle(names, Err(Refusal::OtherStudy));
         }
         if let Some(study) = study {
             let submitted = self.submit(study, instance).await;
-            self.answer(names.0, names.1, submitted);
-            return;
+            return self.settle(names, submitted);
         }
         self.waiting_bytes += instance.data.len();
         self.waiting.push((self.outcomes.len(), instance));
-        self.answer(names.0, names.1, Ok(()));
+        self.answer(names, Ok(()));
         if self.waiting_bytes >= BATCH_BYTES {
             self.commit().await;
         }
@@ -151,17 +188,26 @@ impl Reception {
         Received { outcomes: self.outcomes, jobs: self.jobs }
     }
 
-    fn answer(&mut self, class_uid: Option<String>, instance_uid: Option<String>, result: Result<(), Refusal>) {
+    fn answer(&mut self, (class_uid, instance_uid): Names, result: Result<(), Refusal>) {
         self.outcomes.push(Outcome { class_uid, instance_uid, result });
     }
 
-    async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<(), Refusal> {
+    /// Answers for an instance of which it is known what it is counted as.
+    fn settle(&mut self, names: Names, result: Result<&'static str, Refusal>) {
+        self.way.count(match &result {
+            Ok(outcome) => outcome,
+            Err(refusal) => refusal.outcome(),
+        });
+        self.answer(names, result.map(drop));
+    }
+
+    async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<&'static str, Refusal> {
         let store = &self.assembler.store;
         let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
-        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.sha256]));
+        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.identity]));
         let submitted = store.submit_assembled(reservation, new, Members::Whole(instance)).await?;
         self.jobs.push(submitted.job().id);
-        Ok(())
+        Ok(if matches!(submitted, Submitted::Created(_)) { "study" } else { "known" })
     }
 
     async fn commit(&mut self) {
@@ -175,8 +221,9 @@ impl Reception {
             Ok(filed) => {
                 for ((place, series), filed) in places.into_iter().zip(series).zip(filed) {
                     if filed == Filed::Conflict {
-                        self.outcomes[place].result = Err(SubmitError::InstanceConflict.into());
+                        self.refuse(place, SubmitError::InstanceConflict.into());
                     } else {
+                        self.way.count(if filed == Filed::New { "part" } else { "known" });
                         self.series.insert(series);
                     }
                 }
@@ -184,10 +231,16 @@ impl Reception {
             Err(error) => {
                 tracing::warn!(%error, "instances could not be stored");
                 for place in places {
-                    self.outcomes[place].result = Err(again(&error));
+                    self.refuse(place, again(&error));
                 }
             }
         }
+    }
+
+    /// Takes back the answer to a part that could not be committed.
+    fn refuse(&mut self, place: usize, refusal: Refusal) {
+        self.way.count(refusal.outcome());
+        self.outcomes[place].result = Err(refusal);
     }
 }
 
@@ -211,8 +264,21 @@ fn examine(bytes: &[u8], owner: String, settings: &Settings) -> Result<Examined,
     } else {
         None
     };
-    let Instance { class_uid, instance_uid, study_uid, series_uid, holds, excerpt } = instance;
+    let Instance { class_uid, instance_uid, study_uid, series_uid, holds, identity, excerpt } = instance;
+    let identity = hex(match &study {
+        Some(received) => whole(identity, &received.study),
+        None => identity,
+    });
     let holds = serde_json::to_string(&holds).unwrap_or_default();
     let series = Series { owner, study_uid, series_uid };
-    Ok(Examined { instance: NewInstance::new(series, class_uid, instance_uid, holds, excerpt), study })
+    Ok(Examined { instance: NewInstance::new(series, class_uid, instance_uid, holds, identity, excerpt), study })
+}
+
+/// What an instance that is a study says, and its counts.
+fn whole(identity: [u8; 32], study: &Study) -> [u8; 32] {
+    let mut hash = Sha256::new_with_prefix(identity);
+    for count in study.gates.iter().flat_map(|gate| &gate.volume.counts) {
+        hash.update(count.to_le_bytes());
+    }
+    hash.finalize().into()
 }

@@ -1,6 +1,6 @@
 //! The parts of a series, put together when all are there or when no more seem to come.
 
-use super::{Assembler, digest, read};
+use super::{Assembler, digest, hex, read};
 use crate::{
     intake::{Holds, IntakeError, Nature, Received, sentence},
     jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
@@ -36,7 +36,11 @@ impl Assembler {
                 Ok(_) => {}
                 // It waits on disk until there is room.
                 Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
-                Err(error) => return Err(error),
+                Err(AssemblyError::Submit(SubmitError::Store(error)) | AssemblyError::Store(error)) if error.is_passing() => {
+                    return Err(error.into());
+                }
+                // What is wrong with one holds up no other.
+                Err(error) => tracing::warn!(%error, "a study could not be put together yet"),
             }
         }
         Ok(())
@@ -45,27 +49,30 @@ impl Assembler {
     async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Uuid>, AssemblyError> {
         // Of a key that no client can send: it has a space.
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
-        let key = identity.iter().fold("dicom series ".to_owned(), |key, byte| format!("{key}{byte:02x}"));
+        let key = format!("dicom series {}", hex(identity));
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
-        match self.read_series(series, parts).await? {
+        // Its bytes are known, and judged, when it is stored.
+        let reservation = self.store.reserve(0).map_err(SubmitError::from)?;
+        let error = match self.read_series(series, parts).await? {
             Ok(study) => {
-                let reservation = self.store.reserve(parts.iter().map(|part| part.size).sum()).map_err(SubmitError::from)?;
-                let new = self.new_job(&series.owner, Some(key), study, identity);
-                let submitted = self.store.submit_assembled(reservation, new, Members::Filed { instance_uids, keep }).await?;
-                Ok(Some(submitted.job().id))
+                let new = self.new_job(&series.owner, Some(key.clone()), study, identity);
+                let members = Members::Filed { instance_uids: instance_uids.clone(), keep };
+                match self.store.submit_assembled(reservation, new, members).await {
+                    // It would wait for room for ever.
+                    Err(error @ SubmitError::TooLarge { .. }) => JobError { code: "too_large".to_owned(), message: error.to_string() },
+                    submitted => return Ok(Some(submitted?.job().id)),
+                }
             }
             // Not the study's fault: it waits.
-            Err(error) if error.nature() == Nature::Unavailable => Err(AssemblyError::Unavailable(error)),
-            Err(error) => {
-                tracing::info!(code = error.code(), "the instances of a series make no study");
-                let error = JobError { code: error.code().to_owned(), message: sentence(&error.to_string()) };
-                let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
-                Ok(failed.map(|job| job.id))
-            }
-        }
+            Err(error) if error.nature() == Nature::Unavailable => return Err(AssemblyError::Unavailable(error)),
+            Err(error) => JobError { code: error.code().to_owned(), message: sentence(&error.to_string()) },
+        };
+        tracing::info!(code = error.code, "the instances of a series make no study");
+        let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
+        Ok(failed.map(|job| job.id))
     }
 
-    async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<Received, IntakeError>, StoreError> {
+    async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<Received, IntakeError>, AssemblyError> {
         let limit = self.settings.limits.body_bytes;
         let bytes: u64 = parts.iter().map(|part| part.size).sum();
         if bytes > limit as u64 {
@@ -73,9 +80,10 @@ impl Assembler {
         }
         let mut files = Vec::with_capacity(parts.len());
         for part in parts {
-            files.extend(self.store.excerpt(&series.owner, &part.instance_uid).await?);
+            // A job has it, or it was deleted, since the parts were listed.
+            files.push(self.store.excerpt(&series.owner, &part.instance_uid).await?.ok_or(SubmitError::InstancesGone)?);
         }
-        self.parse(move |settings| read(&files, settings)).await
+        Ok(self.parse(move |settings| read(&files, settings)).await?)
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
     peer::{Broken, Event, Peer, Stream},
 };
 use crate::{
-    assembly::Refusal,
+    assembly::{Refusal, Way},
     jobs::{ANONYMOUS, SubmitError},
 };
 use dicom_ul::pdu::{PDataValueType, Pdu};
@@ -203,7 +203,7 @@ impl<'a, S: Stream> Association<'a, S> {
 
     /// Stores what was received; returns the status and what is said about it.
     async fn commit(&self, object: Object) -> (u16, Option<String>) {
-        let mut reception = self.shared.assembler.reception(ANONYMOUS, None);
+        let mut reception = self.shared.assembler.reception(ANONYMOUS, Way::Dimse, None);
         reception.take(object.whole()).await;
         match reception.end().await.outcomes.into_iter().next().map(|outcome| outcome.result) {
             Some(Ok(())) => (command::SUCCESS, None),

@@ -14,7 +14,7 @@ use super::{
     views::{Binary, StoreInstancesResponse},
 };
 use crate::{
-    assembly::{Received, Reception},
+    assembly::{Received, Reception, Way},
     jobs::ANONYMOUS,
 };
 use axum::{
@@ -105,7 +105,7 @@ async fn receive(state: &AppState, study_uid: Option<String>, headers: &HeaderMa
         body::discard(headers, body, state.study_bytes).await;
         return Err(refusal);
     }
-    let reception = state.assembler().reception(ANONYMOUS, study_uid);
+    let reception = state.assembler().reception(ANONYMOUS, Way::Stow, study_uid);
     let reading = read(state, headers, body, reception);
     let reception = tokio::time::timeout(state.study_time(), reading)
         .await

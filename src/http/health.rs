@@ -143,6 +143,9 @@ pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse 
     if let Err(error) = state.store.publish_counts().await {
         tracing::warn!(%error, "the queue's numbers are those of the last look");
     }
+    if let Err(error) = state.store.publish_waiting().await {
+        tracing::warn!(%error, "the numbers of what waits for its rest are those of the last look");
+    }
     state.metrics.run_upkeep();
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render())
 }

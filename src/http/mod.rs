@@ -251,6 +251,9 @@ pub fn router(state: AppState) -> Router {
     let router = contract
         .merge(docs::reference())
         .route("/", axum::routing::get(docs::root))
+        // The same with a slash at the end, as configurations written by hand have it: no client of STOW-RS follows a redirect.
+        .route("/dicom-web/studies/", axum::routing::post(dicomweb::store))
+        .route("/dicom-web/studies/{study_instance_uid}/", axum::routing::post(dicomweb::store_of_study))
         .layer(CatchPanicLayer::custom(layers::panicked))
         .layer(middleware::from_fn(layers::observe));
     let router = match layers::cors(&state.cors) {

@@ -218,7 +218,9 @@ impl From<SubmitError> for Problem {
     fn from(error: SubmitError) -> Self {
         match error {
             SubmitError::KeyReused => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "idempotency_key_reused", error.to_string()),
-            SubmitError::InstanceConflict => Self::new(StatusCode::CONFLICT, "instance_conflict", error.to_string()),
+            SubmitError::InstanceConflict | SubmitError::InstancesGone => {
+                Self::new(StatusCode::CONFLICT, "instance_conflict", error.to_string())
+            }
             SubmitError::TooLarge { .. } => Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", error.to_string()),
             SubmitError::QueueFull(full) => full.into(),
             SubmitError::Store(error) => error.into(),

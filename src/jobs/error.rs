@@ -19,6 +19,9 @@ pub enum SubmitError {
     /// The owner has another instance of this UID.
     #[error("Another instance with this SOP Instance UID is stored already. Delete the job that was made of it first.")]
     InstanceConflict,
+    /// Instances that were to become a job were deleted meanwhile.
+    #[error("Instances of this study were deleted while it was put together. What is left of it waits for the rest; send it again.")]
+    InstancesGone,
     /// There will never be room for the job: it alone is more than may wait.
     #[error("The study takes {bytes} bytes as it is stored, and all that waits may take {limit}. Send fewer gates, or a smaller matrix.")]
     TooLarge {

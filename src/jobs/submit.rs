@@ -18,8 +18,7 @@ impl Store {
         self.submit_assembled(reservation, new, Members::None).await
     }
 
-    /// Likewise, and notes in the same transaction that the job took these instances. An instance that is a study of its own and was
-    /// submitted before gives the job that was made of it then.
+    /// Likewise, and notes in the same transaction that the job took these instances. Where a job has all of them already, it gives that one.
     pub async fn submit_assembled(&self, reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
         let store = self.clone();
         tokio::spawn(async move { store.submit_to_end(reservation, new, members).await }).await.map_err(|_| StoreError::Interrupted)?
@@ -35,9 +34,12 @@ impl Store {
         if let Some(key) = &key
             && let Some(existing) = existing(&mut transaction, &owner, key, &hash).await?
         {
-            return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
+            let job = self.get_in(&mut transaction, existing).await?;
+            self.rejoin(&mut transaction, &owner, &members, existing).await?;
+            transaction.commit().await?;
+            return Ok(Submitted::Existing(job));
         }
-        if let Some(existing) = self.taken(&mut transaction, &members).await? {
+        if let Some(existing) = self.taken(&mut transaction, &owner, &members).await? {
             return Ok(Submitted::Existing(self.get_in(&mut transaction, existing).await?));
         }
         if bytes > self.inner.queue.limit().bytes {

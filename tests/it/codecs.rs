@@ -3,8 +3,11 @@
 
 use crate::{
     encapsulated::{converted, fragments, limits, native_samples, phantom_file, read, with_fragments, with_samples},
+    parted,
     served::{Directory, Served},
 };
+use dicom_core::VR;
+use dicom_dictionary_std::tags;
 use std::time::{Duration, Instant};
 use ventricle::{
     analysis::analyse,
@@ -186,6 +189,31 @@ fn what_is_not_decoded_is_refused_by_name() {
         assert_eq!(error.code(), "unsupported_transfer_syntax", "{error}");
         assert!(error.to_string().contains(uid), "{error}");
     }
+}
+
+#[test]
+fn an_instance_is_the_same_in_every_lossless_syntax() {
+    let directory = Directory::new("same-instance");
+    let service = Served::start(&directory.0.join("data"), &["--quiet-seconds", "3600"]);
+    let whole = parted::whole(60);
+    let study = parted::text_of(&whole, tags::STUDY_INSTANCE_UID);
+    let gate = parted::with(&parted::gates(&whole)[2], &[(tags::STUDY_INSTANCE_UID, VR::UI, "1.2.3")]);
+    for native in [&whole, &gate] {
+        assert_eq!(service.post_to("/dicom-web/studies", "application/dicom", native).status, 200);
+        for (uid, package, command) in LOSSLESS {
+            let Some(file) = converted(&directory.0, package, command, native) else { return };
+            let answer = service.post_to("/dicom-web/studies", "application/dicom", &file);
+            assert_eq!(answer.status, 200, "{uid}: {}", answer.json());
+        }
+        // One count changed is another image.
+        let mut other = native.clone();
+        let last = other.len() - 2;
+        other[last] ^= 1;
+        assert_eq!(service.post_to("/dicom-web/studies", "application/dicom", &other).status, 409);
+    }
+    let jobs = service.get("/v1/reconstructions").json()["reconstructions"].as_array().unwrap().clone();
+    assert_eq!(jobs.len(), 1, "the gate waits for the others: {jobs:?}");
+    assert_eq!(jobs[0]["study_instance_uid"], study);
 }
 
 #[test]

@@ -225,6 +225,10 @@ fn what_is_refused_is_named_with_its_reason_and_stored_nowhere() {
     let changed = parted::with(&good, &[(tags::HEART_RATE, VR::IS, "61")]);
     let answer = store(&service, &[changed]);
     assert_eq!((answer.status, reasons(&answer, "00081198")), (409, vec![0x0110]));
+    assert_eq!(store(&service, &[&good]).status, 200);
+    let series = |outcome: &str| format!("ventricle_instances_received_total{{way=\"stow\",outcome=\"{outcome}\"}}");
+    let counted = ["study", "known", "conflict", "refused", "part"].map(|outcome| service.metric(&series(outcome)) as u64);
+    assert_eq!(counted, [1, 1, 1, 6, 0]);
     finished(&service, &uid, 1);
     assert_eq!(service.get("/v1/reconstructions").json()["reconstructions"].as_array().unwrap().len(), 1);
 
@@ -274,6 +278,14 @@ fn bodies_are_taken_as_clients_send_them_and_bounded() {
     let xml = service.post_accepting("/dicom-web/studies", "application/dicom", &good, "application/dicom+xml");
     assert_eq!((xml.status, xml.json()["code"].as_str().unwrap()), (406, "not_acceptable"));
     assert_eq!(service.post_accepting("/dicom-web/studies", "application/dicom", &good, "*/*").status, 200);
+    // A slash at the end changes nothing, and leads nobody elsewhere.
+    let uid = parted::text_of(&good, tags::STUDY_INSTANCE_UID);
+    for path in ["/dicom-web/studies/".to_owned(), format!("/dicom-web/studies/{uid}"), format!("/dicom-web/studies/{uid}/")] {
+        let answer = store_at(&service, &path, &[&good]);
+        assert_eq!((answer.status, instances(&answer, "00081199").len()), (200, 1), "{path}");
+    }
+    assert_eq!(reasons(&store_at(&service, "/dicom-web/studies/1.2.3/", &[&good]), "00081198"), [0xA900]);
+    assert_eq!((service.get("/dicom-web/studies/").status, store_at(&service, "/dicom-web/studies//", &[&good]).status), (405, 404));
     assert_eq!(service.get("/v1/reconstructions").json()["reconstructions"].as_array().unwrap().len(), 1);
 }
 

@@ -105,8 +105,16 @@ fn the_files_of_the_gates_make_one_job_once_all_are_there() {
     let (content, said) = dcmtk("storescu", &service, &["-v"], &paths[..1]);
     assert!(content, "{said}");
     assert_eq!(jobs(&service), Vec::<Value>::new());
+    let parts = || service.metric("ventricle_instances_received_total{way=\"dimse\",outcome=\"part\"}");
+    assert_eq!((parts(), service.metric("ventricle_series_waiting")), (1.0, 1.0));
+    let (bytes, quiet_s) = (service.metric("ventricle_series_waiting_bytes"), service.metric("ventricle_series_quiet_seconds"));
+    let file_bytes = gates[0].len() as f64;
+    assert!((0.5 * file_bytes..file_bytes).contains(&bytes), "{bytes} of {file_bytes}");
+    assert!((0.0..60.0).contains(&quiet_s), "{quiet_s}");
     let (content, said) = dcmtk("storescu", &service, &["-v"], &paths[1..]);
     assert!(content, "{said}");
+    assert_eq!((parts(), service.metric("ventricle_series_waiting")), (parted::GATES as f64, 0.0));
+    assert!(service.metric("ventricle_series_waiting_bytes") == 0.0 && service.metric("ventricle_series_quiet_seconds") == 0.0);
     let [job] = jobs(&service).try_into().unwrap();
     succeeds(&service, &job);
     let report = service.get(&format!("/v1/reconstructions/{}/report", job["id"].as_str().unwrap())).json();
@@ -237,7 +245,7 @@ struct Receiver {
 }
 
 /// A port that was free a moment ago.
-fn free_port() -> u16 {
+pub(crate) fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 

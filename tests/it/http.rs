@@ -1,6 +1,6 @@
 //! The service as its clients meet it: in process, over a real store, with work that the test decides; and once over a socket.
 
-mod archived;
+pub(crate) mod archived;
 mod callbacks;
 mod comparison;
 mod following;

@@ -47,10 +47,13 @@ fn every_setting_is_in_the_table_as_the_program_has_it() {
     );
 }
 
-/// The files of `deploy/`, by name.
+/// The files of `deploy/` that start the service, by name; what is in its folders starts others.
 fn deployed() -> Vec<(String, String)> {
     let entries = fs::read_dir(root().join("deploy")).unwrap().map(|entry| entry.unwrap().path());
-    entries.map(|path| (path.file_name().unwrap().to_str().unwrap().to_owned(), fs::read_to_string(&path).unwrap())).collect()
+    entries
+        .filter(|path| path.is_file())
+        .map(|path| (path.file_name().unwrap().to_str().unwrap().to_owned(), fs::read_to_string(&path).unwrap()))
+        .collect()
 }
 
 #[test]

@@ -50,8 +50,13 @@ impl Drop for Directory {
 impl Served {
     /// Starts the service on a data directory and waits until it says where it listens.
     pub(crate) fn start(data: &Path, flags: &[&str]) -> Self {
+        Self::start_at(data, "127.0.0.1:0", flags)
+    }
+
+    /// The same at an address.
+    pub(crate) fn start_at(data: &Path, listen: &str, flags: &[&str]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_ventricle"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--log", "warn", "--data-dir"])
+            .args(["serve", "--listen", listen, "--log", "warn", "--data-dir"])
             .arg(data)
             .args(flags)
             .stdout(Stdio::piped())
@@ -114,6 +119,13 @@ impl Served {
         answer(self.agent.get(format!("{}{path}", self.url)).call().unwrap())
     }
 
+    /// The value of a metric with these labels, as `name{label="value"}`; 0 before it has one.
+    pub(crate) fn metric(&self, series: &str) -> f64 {
+        let text = String::from_utf8(self.get("/metrics").body).unwrap();
+        let value = text.lines().find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+        value.map_or(0.0, |value| value.parse().unwrap())
+    }
+
     /// Nothing where the process ended meanwhile.
     pub(crate) fn try_get(&self, path: &str) -> Option<Answer> {
         self.agent.get(format!("{}{path}", self.url)).call().ok().and_then(try_answer)
@@ -171,7 +183,7 @@ impl Drop for Served {
     }
 }
 
-fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
+pub(crate) fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
     try_answer(response).unwrap()
 }
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
-# (libgdcm-tools) for DICOM, strace for what is written to disk, Chromium for what the page prints to, Node with the validators for glTF, FHIR
-# and JSON Schema, Python with highdicom for structured
-# reports, PostgreSQL for what is stored there.
+# (libgdcm-tools) for DICOM, Orthanc with its DICOMweb and Python plugins for an archive, strace for what is written to disk, Chromium for what the page
+# prints to, Node with the validators for glTF, FHIR and JSON Schema and a DICOMweb client, Python with highdicom for structured reports and another
+# such client, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -17,6 +17,10 @@ missing=()
 command -v dciodvfy >/dev/null || missing+=(dicom3tools)
 command -v dcmcjpls >/dev/null || missing+=(dcmtk)
 command -v gdcmconv >/dev/null || missing+=(libgdcm-tools)
+[[ -x /usr/sbin/Orthanc ]] || missing+=(orthanc)
+[[ -e /usr/share/orthanc/plugins/libOrthancDicomWeb.so ]] || missing+=(orthanc-dicomweb)
+[[ -e /usr/share/orthanc/plugins/libOrthancPython.so ]] || missing+=(orthanc-python)
+command -v curl >/dev/null || missing+=(curl)
 command -v strace >/dev/null || missing+=(strace)
 command -v chromium >/dev/null || missing+=(chromium)
 command -v node >/dev/null || missing+=(nodejs)
@@ -33,9 +37,22 @@ if ((${#missing[@]})); then
       as_root mkdir -p "${no_cluster%/*}"
       echo 'create_main_cluster = false' | as_root tee "$no_cluster" >/dev/null
     fi
+    # Likewise Orthanc, which Debian would start at once and at every boot, on all addresses: masked, and no service is started while this installs.
+    no_services=/usr/sbin/policy-rc.d
+    if [[ " ${missing[*]} " == *" orthanc "* && ! -e /etc/systemd/system/orthanc.service ]]; then
+      as_root mkdir -p /etc/systemd/system
+      as_root ln -s /dev/null /etc/systemd/system/orthanc.service
+      echo "Orthanc's own service is kept from starting (systemctl unmask orthanc allows it again)"
+    fi
+    if [[ " ${missing[*]} " == *" orthanc"* && ! -e $no_services ]]; then
+      printf '#!/bin/sh\nexit 101\n' | as_root tee "$no_services" >/dev/null
+      as_root chmod 755 "$no_services"
+    else
+      no_services=
+    fi
     { as_root apt-get update -qq && as_root env DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends "${missing[@]}"; } \
       >/dev/null || echo "not installed: ${missing[*]} (apt-get failed)"
-    as_root rm -f "$no_cluster"
+    as_root rm -f "$no_cluster" ${no_services:+"$no_services"}
   else
     echo "not installed: ${missing[*]} (needs apt-get and root, or sudo without a password)"
   fi
@@ -44,10 +61,10 @@ fi
 if command -v npm >/dev/null; then
   # npm leaves a copy of the lock file in node_modules: newer than ours means installed from it.
   if [[ ! node_modules/.package-lock.json -nt package-lock.json ]]; then
-    npm ci --silent --no-audit --no-fund || echo "not installed: the validators for glTF, FHIR and JSON Schema (npm ci failed in tests/tools)"
+    npm ci --silent --no-audit --no-fund || echo "not installed: the npm packages of tests/tools (npm ci failed there)"
   fi
 else
-  echo "not installed: the validators for glTF, FHIR and JSON Schema (npm is missing)"
+  echo "not installed: the npm packages of tests/tools (npm is missing)"
 fi
 
 if python3 -c 'import ensurepip' 2>/dev/null; then

@@ -13,11 +13,11 @@ import highdicom
 import pydicom
 from pydicom.sr._concepts_dict import concepts
 
-known = {
-    (scheme, value): {meaning.casefold() for codes in names.values() for code, (meaning, _) in codes.items() if code == value}
-    for scheme, names in concepts.items()
-    for value in {code for codes in names.values() for code in codes}
-}
+known = {}
+for scheme, names in concepts.items():
+    for values in names.values():
+        for value, (meaning, _) in values.items():
+            known.setdefault((scheme, value), set()).add(meaning.casefold())
 
 
 def codes(data_set):

@@ -5,10 +5,11 @@ use crate::intake::prescan::{Element, Scan};
 use crate::intake::{IntakeError, Limits, ScanError};
 use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::value::Value;
-use dicom_core::{Tag, VR};
+use dicom_core::{Tag, VR, header::Header as _};
 use dicom_dictionary_std::{StandardDataDictionary, tags};
 use dicom_object::InMemDicomObject;
 use dicom_transfer_syntax_registry::entries;
+use sha2::{Digest as _, Sha256};
 
 /// The attributes that the intake reads from the outermost data set. None of them names the patient: of group 0010 they are size and weight.
 const READ: [Tag; 51] = [
@@ -174,6 +175,25 @@ impl Attributes {
             Value::Primitive(dicom_core::PrimitiveValue::Tags(targets)) => targets.contains(&target),
             _ => false,
         }
+    }
+
+    /// Feeds a digest with everything that was parsed, in the order of tags: the same for the same values in any transfer syntax.
+    pub(super) fn digest(&self, digest: &mut Sha256) {
+        for element in &self.data_set {
+            let tag = element.tag();
+            digest.update([tag.group().to_le_bytes(), tag.element().to_le_bytes()].concat());
+            let items = element.items().unwrap_or_default();
+            digest.update((items.len() as u64).to_le_bytes());
+            for item in items {
+                Self { data_set: item.clone(), bytes: 0 }.digest(digest);
+            }
+            for text in self.texts(tag) {
+                digest.update((text.len() as u64).to_le_bytes());
+                digest.update(text);
+            }
+        }
+        // The end of an item: what follows is not its own.
+        digest.update([0xFF; 4]);
     }
 
     /// The items of a sequence.

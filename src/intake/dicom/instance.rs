@@ -11,6 +11,7 @@ use crate::intake::{IntakeError, Limits, Part, sniff};
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use dicom_object::meta::FileMetaTableBuilder;
+use sha2::{Digest as _, Sha256};
 
 /// A DICOM object that is, or is part of, a study that can be reconstructed.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,6 +26,9 @@ pub struct Instance {
     pub series_uid: String,
     /// What part of a study it is.
     pub holds: Holds,
+    /// SHA-256 of the attributes that are read, of whom it is of where that is to be kept and, of a part of a study, of its counts: the same for the same object in every lossless transfer
+    /// syntax. The counts of a whole study are not in it, as they are not decoded here.
+    pub identity: [u8; 32],
     /// A DICOM file with its pixel data and the attributes that are read, of which none names the patient unless that is to be kept.
     pub excerpt: Vec<u8>,
 }
@@ -59,7 +63,12 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
     let (class_uid, instance_uid) = (attributes.uid(tags::SOP_CLASS_UID), attributes.uid(tags::SOP_INSTANCE_UID));
     let named = |error| Refused { class_uid: class_uid.clone(), instance_uid: instance_uid.clone(), error: Box::new(error) };
     let object = Object::of(scan.clone(), attributes, keep_subject, limits, &mut Vec::new()).map_err(named)?;
-    let holds = parts::holds(&object, limits).map_err(named)?;
+    let mut digest = Sha256::new();
+    object.attributes.digest(&mut digest);
+    if let Some(subject) = &object.subject {
+        digest.update(subject.encode());
+    }
+    let holds = parts::holds(&object, &mut digest, limits).map_err(named)?;
     let needed = |uid: &Option<String>, name, tag: Tag| {
         let advice = "instances are told apart and put together by it";
         uid.clone().ok_or_else(|| named(IntakeError::MissingAttribute { name, tag: tag.to_string(), advice }))
@@ -70,6 +79,7 @@ pub fn examine(bytes: &[u8], keep_subject: bool, limits: &Limits) -> Result<Inst
         study_uid: needed(&object.study_uid, "Study Instance UID", tags::STUDY_INSTANCE_UID)?,
         series_uid: needed(&object.series_uid, "Series Instance UID", tags::SERIES_INSTANCE_UID)?,
         holds,
+        identity: digest.finalize().into(),
         excerpt: excerpt(&scan, keep_subject, &object).map_err(named)?,
     })
 }

@@ -8,6 +8,7 @@ use crate::intake::{IntakeError, Limits};
 use dicom_core::Tag;
 use dicom_dictionary_std::tags;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 use std::collections::BTreeSet;
 
 /// What part of a study an object holds, and of how many such parts the study consists, if the object says so.
@@ -40,8 +41,9 @@ impl Holds {
     }
 }
 
-/// What this object holds. Its frames must be consistent in themselves, and those of a part that has to wait for others must decode.
-pub(super) fn holds(object: &Object<'_>, limits: &Limits) -> Result<Holds, IntakeError> {
+/// What this object holds. Its frames must be consistent in themselves, and those of a part that has to wait for others must decode: their
+/// counts go into the digest.
+pub(super) fn holds(object: &Object<'_>, digest: &mut Sha256, limits: &Limits) -> Result<Holds, IntakeError> {
     let time_slots = number(object, tags::NUMBER_OF_TIME_SLOTS, "Number of Time Slots")?;
     let holds = if object.frames == 1 {
         let slices = number(object, tags::NUMBER_OF_SLICES, "Number of Slices")?;
@@ -60,6 +62,9 @@ pub(super) fn holds(object: &Object<'_>, limits: &Limits) -> Result<Holds, Intak
     let mut session = limits.decoder.as_ref().map(|decoder| decoder.session(object.frames * counts.len()));
     for frame in 0..object.frames {
         object.pixels.decode(frame, &mut counts, session.as_mut())?;
+        for count in &counts {
+            digest.update(count.to_le_bytes());
+        }
     }
     Ok(holds)
 }

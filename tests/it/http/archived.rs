@@ -2,7 +2,7 @@
 //! are none.
 
 use super::harness::{Answer, Service, failing, idle, with, working};
-use crate::shared::absent;
+use crate::{conformance::assert_as_stated, shared::absent};
 use dicom_core::{DataElement, PrimitiveValue, Tag, VR};
 use dicom_object::{DefaultDicomObject, InMemDicomObject};
 use serde_json::Value;
@@ -74,7 +74,7 @@ fn said(output: &Output) -> String {
 }
 
 /// That `dciodvfy` takes a file for an object of this kind and finds nothing wrong with it.
-fn assert_dciodvfy(path: &Path, kind: &str) {
+pub(crate) fn assert_dciodvfy(path: &Path, kind: &str) {
     let Some(output) = run("dciodvfy", &[], path) else { return absent("dicom3tools") };
     let said = said(&output);
     assert!(said.lines().any(|line| line == kind), "{}: {said}", path.display());
@@ -86,7 +86,7 @@ fn assert_dciodvfy(path: &Path, kind: &str) {
 }
 
 /// That `dsrdump` prints the document without complaint; what it prints.
-fn dsrdump(path: &Path) -> Option<String> {
+pub(crate) fn dsrdump(path: &Path) -> Option<String> {
     let Some(output) = run("dsrdump", &["--print-all-codes"], path) else {
         absent("dcmtk");
         return None;
@@ -100,7 +100,7 @@ fn dsrdump(path: &Path) -> Option<String> {
 }
 
 /// What highdicom reads from a structured report.
-fn highdicom(path: &Path) -> Option<Value> {
+pub(crate) fn highdicom(path: &Path) -> Option<Value> {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools");
     let python = tools.join(".venv/bin/python");
     if !python.exists() {
@@ -196,6 +196,7 @@ fn on_disk(service: &Service) -> Vec<u8> {
 
 /// The structured report of a gated study, by other programs.
 fn assert_structured_report(sr: &[u8], job: &Value, report: &Value) {
+    assert_as_stated(&parsed(sr), "##### Comprehensive SR");
     let file = scratch("gated-sr.dcm", sr);
     assert_dciodvfy(&file, "ComprehensiveSR");
     let printed = dsrdump(&file);
@@ -267,6 +268,7 @@ async fn assert_surfaces(service: &Service, path: &str, report: &Value) {
             assert!((0..3).all(within), "{surface} {gate} is not where the patient's heart is: {low:?} {high:?} {apex}");
             let encapsulated = result(service, &format!("{path}/gates/{gate}/{surface}.stl.dcm"), "application/dicom").await;
             let object = parsed(&encapsulated.bytes);
+            assert_as_stated(&object, "##### Encapsulated STL");
             assert_eq!(object.element_by_name("EncapsulatedDocument").unwrap().to_bytes().unwrap(), stl.bytes);
             let title = object.element_by_name("DocumentTitle").unwrap().to_str().unwrap().to_lowercase();
             assert_eq!(title, format!("{surface} surface, gate {gate} of 4"));
@@ -361,6 +363,8 @@ async fn a_kept_patient_is_in_dicom_results_alone_and_goes_with_the_job() {
     let path = reconstructed(&service, with_attributes(&dicom(&beating()), &attributes)).await;
     let sr = result(&service, &format!("{path}/sr.dcm"), "application/dicom").await;
     let stl = result(&service, &format!("{path}/gates/2/epicardial.stl.dcm"), "application/dicom").await;
+    assert_as_stated(&parsed(&sr.bytes), "##### Comprehensive SR");
+    assert_as_stated(&parsed(&stl.bytes), "##### Encapsulated STL");
     for (attribute, value) in attributes {
         let (group, number) = attribute.tag();
         for document in [&sr, &stl] {
@@ -444,6 +448,7 @@ async fn an_ungated_study_and_one_without_uids_give_what_they_have() {
         let file = scratch(&format!("{name}-sr.dcm"), &sr.bytes);
         assert_dciodvfy(&file, "ComprehensiveSR");
         dsrdump(&file);
+        assert_as_stated(&parsed(&sr.bytes), "##### Comprehensive SR");
         let fhir = result(&service, &format!("{path}/fhir"), "application/fhir+json").await;
         assert_fhir(&scratch(&format!("{name}-fhir.json"), &fhir.bytes));
         let stl = result(&service, &format!("{path}/gates/1/endocardial.stl.dcm"), "application/dicom").await;
