@@ -185,7 +185,12 @@ impl SceneBuilder {
         let primitives = parts
             .into_iter()
             .map(|(indices, is_lid)| Primitive {
-                attributes: attributes.clone(),
+                // No material of the lid has a texture.
+                attributes: attributes
+                    .iter()
+                    .filter(|(semantic, _)| !(is_lid && matches!(semantic, Checked::Valid(Semantic::TexCoords(_)))))
+                    .map(|(semantic, accessor)| (semantic.clone(), *accessor))
+                    .collect(),
                 extensions: coloured.map(|(_, colours)| gltf_json::extensions::mesh::Primitive {
                     khr_materials_variants: Some(Mappings { mappings: colours.mappings(material, is_lid) }),
                 }),

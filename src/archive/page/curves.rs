@@ -20,8 +20,8 @@ pub(super) fn volume(cycle: &CycleSummary) -> String {
     let size = (300.0, 236.0);
     let largest = cycle.gates.iter().map(|gate| gate.endocardial_ml).fold(cycle.fitted_edv_ml, f64::max);
     let chart = Chart {
-        corner: (44.0, 12.0),
-        size: (246.0, 176.0),
+        corner: (56.0, 12.0),
+        size: (234.0, 176.0),
         across: (0.0, 100.0),
         upwards: (0.0, (1.08 * largest / 10.0).ceil() * 10.0),
         title: String::new(),
