@@ -157,6 +157,8 @@ mod tests {
                 "max_steps": 100, "record_distances": true,
             },
             "refine": serde_json::to_value(chosen::RefineParameters::default()).unwrap(),
+            "analysis": {"anterior": [0.0, -1.0, 0.5], "perfusion_threshold_percent": 50.0},
+            "metadata": {"height_m": 1.72, "weight_kg": 81.5},
         });
         assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
         let mut clinical = serde_json::to_value(chosen::Parameters::clinical()).unwrap();

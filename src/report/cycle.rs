@@ -103,7 +103,8 @@ impl From<&Cycle> for CycleSummary {
             coarse: gates < GATES_FOR_RATES,
             caution: (gates < GATES_FOR_RATES).then(|| {
                 format!(
-                    "{gates} gates do not resolve how fast the ventricle empties and fills: the rates are underestimated and their times are coarse                      (docs/accuracy.md); {GATES_FOR_RATES} gates or more are asked for."
+                    "{gates} gates do not resolve how fast the ventricle empties and fills: the rates are underestimated and their times are coarse \
+                     (docs/accuracy.md); {GATES_FOR_RATES} gates or more are asked for."
                 )
             }),
         }

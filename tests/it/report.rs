@@ -160,7 +160,11 @@ fn few_gates_are_a_caution_and_no_warning() {
         let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
         let cycle = report.cycle.unwrap();
         assert_eq!((cycle.coarse, cycle.caution.is_some()), (coarse, coarse), "{gates}");
-        assert!(cycle.caution.is_none_or(|caution| caution.starts_with(&format!("{gates} gates")) && caution.contains("underestimated")));
+        assert!(
+            cycle
+                .caution
+                .is_none_or(|caution| caution.starts_with(&format!("{gates} gates")) && caution.contains("coarse (docs/accuracy.md)"))
+        );
         assert!(report.warnings.is_empty(), "{:?}", report.warnings);
     }
 }
