@@ -27,8 +27,8 @@ pub struct Exact {
     pub continuous: Option<Rates>,
     /// Share of the wall's area with a defect, in percent.
     pub defect_percent: f64,
-    /// The largest and the smallest exact volume of a gate's cavity, in ml.
-    pub ends_ml: (f64, f64),
+    /// Volume of the cavity at each gate in ml.
+    pub cavities_ml: Vec<f64>,
 }
 
 /// The truth of a simulated heart; `None` without a ventricle.
@@ -51,8 +51,7 @@ pub fn of(heart: &Heart, simulation: &Simulation) -> Option<Exact> {
         .zip(uptake)
         .filter_map(|(place, &uptake)| (uptake < DEFECT_UPTAKE).then_some(place.as_ref()?.area_mm2))
         .fold(0.0, |sum, area| sum + area);
-    let ends_ml = (simulation.truth.edv_ml, simulation.truth.esv_ml);
-    Some(Exact { defect_percent: 100.0 * missing / analysis.places.area_mm2(), analysis, continuous, ends_ml })
+    Some(Exact { defect_percent: 100.0 * missing / analysis.places.area_mm2(), analysis, continuous, cavities_ml: cavity_ml })
 }
 
 /// The exact surfaces in the form that a reconstruction has.

@@ -36,8 +36,8 @@ pub struct Values {
     pub defect_percent: f64,
     /// Segments below the threshold.
     pub defect_segments: Vec<usize>,
-    /// End-diastolic volume in ml.
-    pub edv_ml: f64,
+    /// Mean volume of the cavity over the gates in ml.
+    pub cavity_ml: f64,
 }
 
 /// A heart that was reconstructed.
@@ -82,11 +82,11 @@ pub fn run(heart: &Heart) -> Result<Run, PhantomError> {
 
 fn scored(heart: &Heart, exact: &Exact, found: &Reconstruction, analysis: &Analysis) -> Score {
     let (covered, touched) = sectors(heart, exact);
-    let edv_ml = found.gates.iter().map(|gate| gate.volume_ml(Surface::Endocardial)).fold(0.0, f64::max);
+    let cavities_ml: Vec<f64> = found.gates.iter().map(|gate| gate.volume_ml(Surface::Endocardial)).collect();
     let threshold = analysis.perfusion.threshold_percent;
-    let mut found = values(analysis, edv_ml);
+    let mut found = values(analysis, &cavities_ml);
     found.defect_segments = below(&found.perfusion_percent, threshold);
-    let mut truth = values(&exact.analysis, exact.ends_ml.0);
+    let mut truth = values(&exact.analysis, &exact.cavities_ml);
     truth.defect_percent = exact.defect_percent;
     truth.defect_segments = below(&truth.perfusion_percent, threshold);
     Score { found, truth, continuous: exact.continuous.map(|rates| four(&rates)), covered, touched }
@@ -96,7 +96,7 @@ fn below(percent: &[Option<f64>], threshold: f64) -> Vec<usize> {
     (1..).zip(percent).filter(|(_, percent)| percent.is_some_and(|percent| percent < threshold)).map(|(number, _)| number).collect()
 }
 
-fn values(analysis: &Analysis, edv_ml: f64) -> Values {
+fn values(analysis: &Analysis, cavities_ml: &[f64]) -> Values {
     let (places, walls) = (&analysis.places, &analysis.walls);
     let mean = |values: &[Option<f64>], average: Average| segments::means(values, places, average);
     let phases = analysis.phase.as_ref().map_or_else(|| vec![None; SEGMENTS], |phase| mean(&phase.degrees, Average::Circular));
@@ -120,7 +120,7 @@ fn values(analysis: &Analysis, edv_ml: f64) -> Values {
             .map(|cycle| [cycle.peak_emptying, cycle.peak_filling, cycle.mean_filling_first_third, 100.0 * cycle.time_to_peak_filling]),
         defect_percent: analysis.perfusion.extent_percent,
         defect_segments: Vec::new(),
-        edv_ml,
+        cavity_ml: cavities_ml.iter().sum::<f64>() / cavities_ml.len() as f64,
     }
 }
 

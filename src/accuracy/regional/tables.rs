@@ -168,7 +168,7 @@ pub fn late(runs: &[Run]) -> String {
     table.to_string()
 }
 
-/// Each pair: the ratio of the end-diastolic volumes.
+/// Each pair: the ratio of the mean volumes of the cavity.
 pub fn pairs(runs: &[Run]) -> String {
     let mut table = Table::new(["pair", "true", "found", "error (%)"]);
     for (name, truth, found) in ratios(runs) {
@@ -179,7 +179,7 @@ pub fn pairs(runs: &[Run]) -> String {
     table.to_string()
 }
 
-/// Of each pair its name, the true ratio of the end-diastolic volumes and the found one.
+/// Of each pair its name, the true ratio of the mean volumes of the cavity and the found one.
 pub fn ratios(runs: &[Run]) -> Vec<(String, f64, Option<f64>)> {
     let all: Vec<&Run> = of_kind(runs, Kind::Pair).collect();
     all.chunks_exact(2)
@@ -188,7 +188,7 @@ pub fn ratios(runs: &[Run]) -> Vec<(String, f64, Option<f64>)> {
             let name = format!("{} and {}", pair[0].name, pair[1].name);
             match (rest, stress) {
                 (Some(rest), Some(stress)) => {
-                    Some((name, stress.truth.edv_ml / rest.truth.edv_ml, Some(stress.found.edv_ml / rest.found.edv_ml)))
+                    Some((name, stress.truth.cavity_ml / rest.truth.cavity_ml, Some(stress.found.cavity_ml / rest.found.cavity_ml)))
                 }
                 _ => Some((name, f64::NAN, None)),
             }
