@@ -17,7 +17,7 @@ pub enum Scale {
 pub const LEVELS: usize = 240;
 
 /// Lightness in the middle and how far it swings, chroma, and the brightest hue in degrees of [`Scale::Cycle`]: just inside sRGB.
-const CYCLE: (f64, f64, f64, f64) = (0.68, 0.15, 0.12, 110.0);
+const CYCLE: (f64, f64, f64, f64) = (0.68, 0.15, 0.11, 110.0);
 
 impl Scale {
     /// The scale of this name.

@@ -44,8 +44,9 @@ pub(super) fn volume(cycle: &CycleSummary) -> String {
     let values: Vec<String> = cycle.gates.iter().map(|gate| format!("{:.0} % {:.0} ml", gate.rr_percent, gate.endocardial_ml)).collect();
     let svg = sheet.described("curve", "Volume of the cavity over the R-R interval", &format!("{}.", values.join(", ")));
     format!(
-        "<h2>Time-volume curve</h2>{svg}<p class=\"aside\">Points: gates. Line: Fourier series of {} harmonics, {:.1} ml RMS from the gates.</p>",
+        "<h2>Time-volume curve</h2>{svg}<p class=\"aside\">Points: gates. Line: Fourier series of {} harmonic{}, {:.1} ml RMS from the gates.</p>",
         cycle.harmonics.len(),
+        if cycle.harmonics.len() == 1 { "" } else { "s" },
         cycle.residual_ml
     )
 }

@@ -22,7 +22,7 @@ pub const MEDIA_TYPE: &str = "text/html; charset=utf-8";
 const STYLE: &str = include_str!("style.css");
 
 /// Remarks in full at most, and letters in all: with more the page would be two.
-const REMARKS: (usize, usize) = (10, 1700);
+const REMARKS: (usize, usize) = (6, 640);
 
 /// What the page is made of beside the report.
 #[derive(Debug, Clone, Copy)]
