@@ -369,7 +369,8 @@ fn every_variant_colours_the_wall_with_its_map_and_leaves_the_lid() {
             let colour = |value: f64| scale.colour((value - range[0]) / (range[1] - range[0])).map(|part| f64::from(part) * 255.0);
             let apart =
                 |expected: [f64; 3]| shown.iter().zip(expected).map(|(&byte, part)| (f64::from(byte) - part).abs()).fold(0.0, f64::max);
-            // A cell of the map is a mean over its surroundings: a twentieth of the range.
+            // A cell of the map is a mean over its surroundings: a twentieth of the range. What is beyond the range has its end's colour.
+            let value = value.clamp(range[0], range[1]);
             let near =
                 (-10..=10).map(|step| apart(colour(value + f64::from(step) / 200.0 * (range[1] - range[0])))).fold(f64::INFINITY, f64::min);
             assert!(near < 3.0, "{attribute} at {vertex}: {value} is shown as {shown:?}, {near} off");
