@@ -38,7 +38,9 @@ impl Neighbourhoods {
                 })
                 .collect();
             let whole: f64 = list.iter().map(|(_, weight)| weight).sum();
-            list.iter_mut().for_each(|(_, weight)| *weight /= whole);
+            for (_, weight) in &mut list {
+                *weight /= whole;
+            }
             list
         };
         Self(positions.iter().zip(&places.of_vertex).map(|(&from, place)| if place.is_some() { near(from) } else { Vec::new() }).collect())

@@ -41,7 +41,8 @@ impl Phantom {
     /// there is no ventricle.
     pub fn exact_surfaces(&self, gate: usize) -> Option<ExactSurfaces> {
         let end_diastole = self.shape.surfaces(0.0)?;
-        let borders = Borders::mean_of(self, cycle::gate_phases(gate, self.imaging.gates, self.imaging.motion_samples))?;
+        let phases: Vec<f64> = cycle::gate_phases(gate, self.imaging.gates, self.imaging.motion_samples).collect();
+        let borders = Borders::mean_of(self, &phases)?;
         let Surfaces { endocardium, epicardium } = borders.surfaces;
         let warp = Warp::new(self.deformation, end_diastole.epicardium.base_w_mm());
         let (rotation, centre) = (self.pose.rotation(), anatomy::centre_mm(&self.imaging.grid, &self.pose));

@@ -112,17 +112,17 @@ pub(super) struct Borders {
 impl Borders {
     /// At a phase of the cycle; `None` without a ventricle.
     pub(super) fn at_phase(phantom: &Phantom, phase: f64) -> Option<Self> {
-        Self::mean_of(phantom, std::iter::once(phase))
+        Self::mean_of(phantom, &[phase])
     }
 
     /// Where the cavity (and that which stands for each part) holds its mean over several phases; `None` without a ventricle.
-    pub(super) fn mean_of(phantom: &Phantom, phases: impl ExactSizeIterator<Item = f64> + Clone) -> Option<Self> {
+    pub(super) fn mean_of(phantom: &Phantom, phases: &[f64]) -> Option<Self> {
         let Shape::Ventricle(ventricle) = phantom.shape else {
-            let surfaces = phantom.shape.surfaces(phases.clone().next()?)?;
+            let surfaces = phantom.shape.surfaces(*phases.first()?)?;
             return Some(Self { surfaces, parts: Vec::new(), inner_share: 0.0 });
         };
         let count = phases.len() as f64;
-        let mean = |of: &dyn Fn(f64) -> f64| phases.clone().map(of).sum::<f64>() / count;
+        let mean = |of: &dyn Fn(f64) -> f64| phases.iter().copied().map(of).sum::<f64>() / count;
         let surfaces = ventricle.surfaces(mean(&|phase| ventricle.cavity_ml(phase)));
         let squared = |solid: &Solid| solid.widest_radius_mm().powi(2);
         let part = |regional: &Regional| {

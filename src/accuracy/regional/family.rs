@@ -127,7 +127,7 @@ fn heart(kind: Kind, number: usize, seed: u64) -> Phantom {
             // Both of a pair draw the same heart; what differs is drawn after it.
             let mut first = Draw::of(seed - number as u64 % 2);
             let phantom = hearts::usual(&mut first);
-            if number % 2 == 0 { phantom } else { larger(phantom, 1.0 + 0.07 * (number / 2) as f64, &mut draw) }
+            if number.is_multiple_of(2) { phantom } else { larger(phantom, 1.0 + 0.07 * (number / 2) as f64, &mut draw) }
         }
     }
 }

@@ -183,14 +183,14 @@ pub fn pairs(runs: &[Run]) -> String {
 pub fn ratios(runs: &[Run]) -> Vec<(String, f64, Option<f64>)> {
     let all: Vec<&Run> = of_kind(runs, Kind::Pair).collect();
     all.chunks_exact(2)
-        .filter_map(|pair| {
+        .map(|pair| {
             let [rest, stress] = [0, 1].map(|index| pair[index].outcome.as_deref().ok());
             let name = format!("{} and {}", pair[0].name, pair[1].name);
             match (rest, stress) {
                 (Some(rest), Some(stress)) => {
-                    Some((name, stress.truth.cavity_ml / rest.truth.cavity_ml, Some(stress.found.cavity_ml / rest.found.cavity_ml)))
+                    (name, stress.truth.cavity_ml / rest.truth.cavity_ml, Some(stress.found.cavity_ml / rest.found.cavity_ml))
                 }
-                _ => Some((name, f64::NAN, None)),
+                _ => (name, f64::NAN, None),
             }
         })
         .collect()
