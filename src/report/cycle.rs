@@ -70,7 +70,7 @@ pub struct Harmonic {
     pub phase_degrees: f64,
 }
 
-/// Fewest gates that resolve the filling: with 8 the peak filling rate is underestimated (`docs/accuracy.md`), 16 are usually asked for.
+/// Fewest gates that resolve the filling: 16 are usually asked for, since each of 8 averages over an eighth of R-R.
 pub(super) const GATES_FOR_RATES: usize = 16;
 
 impl From<&Cycle> for CycleSummary {
@@ -103,8 +103,9 @@ impl From<&Cycle> for CycleSummary {
             coarse: gates < GATES_FOR_RATES,
             caution: (gates < GATES_FOR_RATES).then(|| {
                 format!(
-                    "{gates} gates do not resolve how fast the ventricle empties and fills: the rates are underestimated and their times are coarse \
-                     (docs/accuracy.md); {GATES_FOR_RATES} gates or more are asked for."
+                    "{gates} gates do not resolve how fast the ventricle empties and fills: each is an average over {:.0} % of R-R, so that rates and \
+                     times are coarse (docs/accuracy.md); {GATES_FOR_RATES} gates or more are asked for.",
+                    100.0 / gates as f64
                 )
             }),
         }

@@ -45,7 +45,7 @@ pub(super) fn volumes(report: &Report) -> String {
     }
     let about = if errors.is_some() { "<p class=\"aside\">± half the 95 % interval.</p>" } else { "" };
     let coarse = if report.cycle.as_ref().is_some_and(|cycle| cycle.coarse) {
-        format!("<p class=\"aside\">{} gates: filling rates are underestimated.</p>", report.gates.len())
+        format!("<p class=\"aside\">{} gates: rates and times are coarse.</p>", report.gates.len())
     } else {
         String::new()
     };
