@@ -45,10 +45,14 @@ lint: ## formatting, clippy, documentation, licences and advisories
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
 	@tests/tools/deny.sh
 
-openapi: ## writes openapi/openapi.json from the routes
+openapi: ## writes openapi/openapi.json from the routes, and the schemas beside it from the types
 	mkdir -p openapi
 	cargo run --quiet --locked -- openapi > openapi/openapi.json.new
 	mv openapi/openapi.json.new openapi/openapi.json
+	for schema in report-1 comparison-1; do \
+		cargo run --quiet --locked -- openapi --schema $$schema > openapi/$$schema.json.new; \
+		mv openapi/$$schema.json.new openapi/$$schema.json; \
+	done
 
 tables: build ## redoes the paper's tables and figures into docs/paper.md and docs/paper/
 	@"$(CARGO_TARGET_DIR)/release/ventricle" tables --write docs/paper.md --figures docs/paper
@@ -59,3 +63,4 @@ LABELLED ?= ../shared/data/gated-short-axis
 accuracy: build ## measures both presets on phantoms and labelled studies into docs/accuracy.md (about half an hour)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --ablation --write docs/accuracy.md --plots docs/accuracy \
 		$(if $(wildcard $(LABELLED)/labels.json),--real $(LABELLED))
+	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --regional --write docs/accuracy.md

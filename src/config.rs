@@ -136,6 +136,15 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_RESULTS_TO")]
     pub results_to: Option<String>,
 
+    /// Value of the header Authorization that STOW-RS with results is sent with, as `Basic …` or `Bearer …`. Better in the environment or in a file
+    /// than on the command line.
+    #[arg(long, env = "VENTRICLE_RESULTS_AUTHORIZATION", hide_env_values = true)]
+    pub results_authorization: Option<Secret>,
+
+    /// File that holds that value, white space at its ends left out.
+    #[arg(long, env = "VENTRICLE_RESULTS_AUTHORIZATION_FILE")]
+    pub results_authorization_file: Option<PathBuf>,
+
     /// Address and port to listen on for DICOM associations (C-STORE, C-ECHO); port 0 takes a free one and prints it. None by default.
     #[arg(long, env = "VENTRICLE_DIMSE_LISTEN")]
     pub dimse_listen: Option<SocketAddr>,
@@ -276,9 +285,15 @@ pub enum ConfigError {
          least {LEAST_SECRET} random characters."
     )]
     CallbackWithoutSecret,
-    /// Two secrets.
-    #[error("The secret of callbacks is given twice: use either --callback-secret-file or VENTRICLE_CALLBACK_SECRET.")]
-    CallbackSecretTwice,
+    /// Two secrets for one purpose.
+    #[error("--{flag} is given twice, as a value and as a file: use either --{flag}-file or the environment.")]
+    SecretTwice {
+        /// The flag without `-file`.
+        flag: &'static str,
+    },
+    /// What cannot stand in a header.
+    #[error("The value of --results-authorization is empty or has characters other than printable ASCII; give `Basic …` or `Bearer …`.")]
+    NoHeaderValue,
     /// A secret that could be guessed.
     #[error("The secret of callbacks has {length} characters; use at least {LEAST_SECRET} random ones, as `openssl rand -hex 32` prints.")]
     CallbackSecretTooShort {
@@ -286,8 +301,10 @@ pub enum ConfigError {
         length: usize,
     },
     /// A secret that cannot be read.
-    #[error("The secret of callbacks cannot be read from {}: {why}.", path.display())]
-    CallbackSecretFile {
+    #[error("The file of --{flag}-file, {}, cannot be read: {why}.", path.display())]
+    SecretFile {
+        /// The flag without `-file`.
+        flag: &'static str,
         /// The file.
         path: PathBuf,
         /// What the system says.
@@ -355,18 +372,18 @@ impl ServeSettings {
 
     /// The secret that callbacks are signed with, if there is one; without it there are none.
     pub fn callback_secret(&self) -> Result<Option<Secret>, ConfigError> {
-        let secret = match (&self.callback_secret, &self.callback_secret_file) {
-            (Some(_), Some(_)) => return Err(ConfigError::CallbackSecretTwice),
-            (Some(secret), None) => secret.clone(),
-            (None, Some(path)) => {
-                let unreadable = |error: std::io::Error| ConfigError::CallbackSecretFile { path: path.clone(), why: error.to_string() };
-                Secret(std::fs::read_to_string(path).map_err(unreadable)?.trim().to_owned())
-            }
-            (None, None) if self.callback_url.is_some() => return Err(ConfigError::CallbackWithoutSecret),
-            (None, None) => return Ok(None),
+        let Some(secret) = secret("callback-secret", self.callback_secret.as_ref(), self.callback_secret_file.as_ref())? else {
+            return if self.callback_url.is_some() { Err(ConfigError::CallbackWithoutSecret) } else { Ok(None) };
         };
         let length = secret.expose().chars().count();
         if length < LEAST_SECRET { Err(ConfigError::CallbackSecretTooShort { length }) } else { Ok(Some(secret)) }
+    }
+
+    /// What STOW-RS with results is authorised by, if anything; it can stand in a header.
+    pub fn results_authorization(&self) -> Result<Option<Secret>, ConfigError> {
+        let given = secret("results-authorization", self.results_authorization.as_ref(), self.results_authorization_file.as_ref())?;
+        let printable = |secret: &Secret| !secret.expose().is_empty() && secret.expose().bytes().all(|byte| (b' '..=b'~').contains(&byte));
+        if given.as_ref().is_some_and(|secret| !printable(secret)) { Err(ConfigError::NoHeaderValue) } else { Ok(given) }
     }
 
     /// Which web pages may call the service.
@@ -434,6 +451,18 @@ fn node_name(text: &str) -> Result<String, String> {
         return Ok(text.to_owned());
     }
     Err("a node's name has 1 to 64 letters, digits and -_.".to_owned())
+}
+
+/// A secret given as it is or in a file.
+fn secret(flag: &'static str, given: Option<&Secret>, file: Option<&PathBuf>) -> Result<Option<Secret>, ConfigError> {
+    match (given, file) {
+        (Some(_), Some(_)) => Err(ConfigError::SecretTwice { flag }),
+        (given, None) => Ok(given.cloned()),
+        (None, Some(path)) => {
+            let unreadable = |error: std::io::Error| ConfigError::SecretFile { flag, path: path.clone(), why: error.to_string() };
+            Ok(Some(Secret(std::fs::read_to_string(path).map_err(unreadable)?.trim().to_owned())))
+        }
+    }
 }
 
 #[cfg(test)]
@@ -524,13 +553,27 @@ mod tests {
         let short = settings(&["--callback-secret", "0123456789abcde"]).callback_secret().unwrap_err();
         assert!(short.to_string().contains("at least 16") && !short.to_string().contains("0123"), "{short}");
         let twice = settings(&["--callback-secret", "0123456789abcdef", "--callback-secret-file", "x"]);
-        assert_eq!(twice.callback_secret(), Err(ConfigError::CallbackSecretTwice));
+        assert_eq!(twice.callback_secret(), Err(ConfigError::SecretTwice { flag: "callback-secret" }));
         let path = std::env::temp_dir().join(format!("ventricle-secret-{}", uuid::Uuid::now_v7()));
         let from_file = settings(&["--callback-secret-file", path.to_str().unwrap()]);
-        assert!(matches!(from_file.callback_secret(), Err(ConfigError::CallbackSecretFile { .. })));
+        assert!(matches!(from_file.callback_secret(), Err(ConfigError::SecretFile { .. })));
         std::fs::write(&path, "  fedcba9876543210\n").unwrap();
         assert_eq!(from_file.callback_secret().unwrap().unwrap().expose(), "fedcba9876543210");
         std::fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
+    fn results_are_authorised_by_what_a_header_can_hold() {
+        assert_eq!(settings(&[]).results_authorization(), Ok(None));
+        let given = settings(&["--results-authorization", "Bearer 0123"]);
+        assert_eq!(given.results_authorization().unwrap().unwrap().expose(), "Bearer 0123");
+        assert!(!format!("{given:?}").contains("0123"));
+        for wrong in ["", "Bearer a\nb", "Bearer \u{e9}"] {
+            let refused = settings(&["--results-authorization", wrong]).results_authorization();
+            assert_eq!(refused, Err(ConfigError::NoHeaderValue), "{wrong:?}");
+        }
+        let missing = settings(&["--results-authorization-file", "/no/such/file"]).results_authorization().unwrap_err().to_string();
+        assert!(missing.contains("--results-authorization-file, /no/such/file"), "{missing}");
     }
 
     #[test]

@@ -26,6 +26,7 @@
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod accuracy;
+pub mod analysis;
 pub mod archive;
 pub mod assembly;
 pub mod callbacks;

@@ -55,7 +55,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Phantom(args) => commands::phantom::run(args),
         Command::Tables(args) => commands::tables::run(args),
         Command::Accuracy(args) => commands::accuracy::run(args),
-        Command::Openapi(args) => commands::openapi::run(args),
+        Command::Openapi(args) => commands::openapi::run(&args),
         Command::Healthcheck(args) => commands::healthcheck::run(args),
         Command::DecodeFrames(args) => commands::decode_frames::run(&args),
     }

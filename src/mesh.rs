@@ -41,6 +41,13 @@ impl Mesh {
         Self { positions: self.positions.iter().copied().map(f).collect(), triangles: Arc::clone(&self.triangles) }
     }
 
+    /// The same topology with every vertex formed of this mesh's and another's of the same topology.
+    #[must_use]
+    pub fn map_with(&self, other: &Self, mut f: impl FnMut(DVec3, DVec3) -> DVec3) -> Self {
+        let positions = self.positions.iter().zip(&other.positions).map(|(&here, &there)| f(here, there)).collect();
+        Self { positions, triangles: Arc::clone(&self.triangles) }
+    }
+
     /// The corners of every triangle.
     pub fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> + '_ {
         self.triangles.iter().map(|triangle| triangle.map(|vertex| self.positions[vertex as usize]))
@@ -61,6 +68,38 @@ impl Mesh {
     /// Surface area in mm².
     pub fn area_mm2(&self) -> f64 {
         self.corners().map(triangle_area).sum()
+    }
+
+    /// Each vertex's share of the area in mm²: a third of its triangles.
+    pub fn vertex_areas_mm2(&self) -> Vec<f64> {
+        let mut areas = vec![0.0; self.positions.len()];
+        for (triangle, corners) in self.triangles.iter().zip(self.corners()) {
+            let third = triangle_area(corners) / 3.0;
+            for &vertex in triangle {
+                areas[vertex as usize] += third;
+            }
+        }
+        areas
+    }
+
+    /// Area in mm² of the cut by the plane through a point, across a unit vector.
+    pub fn section_mm2(&self, through: DVec3, normal: DVec3) -> f64 {
+        let mut twice = 0.0;
+        for corners in self.corners() {
+            let heights = corners.map(|corner| (corner - through).dot(normal));
+            let mut crossings = (0..3).filter_map(|edge| {
+                let (from, to) = (heights[edge], heights[(edge + 1) % 3]);
+                // Half open, so that a vertex in the plane is crossed once.
+                ((from < 0.0) != (to < 0.0)).then(|| corners[edge].lerp(corners[(edge + 1) % 3], from / (from - to)) - through)
+            });
+            let (Some(a), Some(b)) = (crossings.next(), crossings.next()) else { continue };
+            let outward = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+            // Counter-clockwise about the normal, with the outside to the right.
+            let along = normal.cross(outward);
+            let area = normal.dot(a.cross(b));
+            twice += if (b - a).dot(along) < 0.0 { -area } else { area };
+        }
+        twice / 2.0
     }
 
     /// Mean of the vertices.

@@ -11,8 +11,8 @@ mod resolve;
 pub use describe::{Description, describe};
 pub use query::{from_query, merge};
 pub use request::{
-    Bend, Deform, EdgeMode, EdgeOperator, Edges, Gvf, Mesh, Model, Pose, Preset, Refine, Region, Request, Seed, Shear, Solver,
-    SpringDirection, Stretch,
+    Analysis, Bend, Deform, EdgeMode, EdgeOperator, Edges, Gvf, Mesh, Metadata, Model, Pose, Preset, Refine, Region, Request, Seed, Shear,
+    Solver, SpringDirection, Stretch,
 };
 pub use resolve::resolve;
 
@@ -157,6 +157,8 @@ mod tests {
                 "max_steps": 100, "record_distances": true,
             },
             "refine": serde_json::to_value(chosen::RefineParameters::default()).unwrap(),
+            "analysis": {"anterior": [0.0, -1.0, 0.5], "perfusion_threshold_percent": 50.0},
+            "metadata": {"height_m": 1.72, "weight_kg": 81.5},
         });
         assert_eq!(serde_json::to_value(parse(&sent).and_then(resolve).unwrap()).unwrap(), sent);
         let mut clinical = serde_json::to_value(chosen::Parameters::clinical()).unwrap();
@@ -313,8 +315,14 @@ mod tests {
     }
 
     #[test]
-    fn what_the_contract_promises_for_later_is_said_to_be_unavailable() {
-        assert_eq!(refused(&json!({"metadata": {}}))[0].0, "unavailable_parameter");
+    fn the_body_is_given_in_metres_and_kilograms() {
+        let given = |metadata: Value| resolve(parse(&json!({"metadata": metadata})).unwrap()).unwrap().metadata;
+        assert_eq!(given(json!({"height_m": 1.72, "weight_kg": 80})), chosen::Metadata { height_m: Some(1.72), weight_kg: Some(80.0) });
+        assert_eq!(given(json!({})), chosen::Metadata::default());
+        for wrong in [json!({"height_m": 172}), json!({"height_m": 0}), json!({"weight_kg": -70}), json!({"weight_kg": "70 kg"})] {
+            assert_eq!(refused(&json!({"metadata": wrong.clone()}))[0].0, "invalid_parameter", "{wrong}");
+        }
+        assert_eq!(refused(&json!({"metadata": {"name": "X"}}))[0].0, "unknown_parameter");
     }
 
     #[test]

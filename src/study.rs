@@ -103,6 +103,24 @@ pub struct Acquisition {
     pub rr_interval_ms: Option<f64>,
     /// Heart rate in beats a minute, if the header has it.
     pub heart_rate_bpm: Option<f64>,
+    /// Beats that the images are made of, if the header has it.
+    #[serde(default)]
+    pub beats_accepted: Option<u64>,
+    /// Beats that were left out because they were too short or too long, if the header has it.
+    #[serde(default)]
+    pub beats_rejected: Option<u64>,
+    /// Shortest and longest R-R interval of an accepted beat in ms, if the header has both.
+    #[serde(default)]
+    pub rr_window_ms: Option<[f64; 2]>,
+    /// Whether beats were sorted by their length (DICOM Beat Rejection Flag), if the header says so.
+    #[serde(default)]
+    pub beat_rejection: Option<bool>,
+    /// The patient's height in m, if the header has it: it names nobody.
+    #[serde(default)]
+    pub height_m: Option<f64>,
+    /// The patient's weight in kg, if the header has it.
+    #[serde(default)]
+    pub weight_kg: Option<f64>,
 }
 
 impl Acquisition {
@@ -117,6 +135,12 @@ impl Acquisition {
             frame_of_reference_uid: None,
             rr_interval_ms: None,
             heart_rate_bpm: None,
+            beats_accepted: None,
+            beats_rejected: None,
+            rr_window_ms: None,
+            beat_rejection: None,
+            height_m: None,
+            weight_kg: None,
         }
     }
 }

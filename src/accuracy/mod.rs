@@ -15,6 +15,7 @@ pub mod parallel;
 pub mod pictures;
 pub mod published;
 pub mod real;
+pub mod regional;
 pub mod score;
 pub mod statistics;
 pub mod tables;

@@ -1,5 +1,5 @@
 //! From what is stored of a finished reconstruction to what PACS and health records take: DICOM structured report, DICOM encapsulated
-//! surface, FHIR bundle. Made when asked for, from the report and the surfaces as they are stored.
+//! surface, FHIR bundle; and to what people look at: polar maps as pictures, the report as a page. Made when asked for, from the report and the surfaces as they are stored.
 //!
 //! Pure functions of their input: the same job gives the same bytes, so that a result that is fetched or sent twice is one object. Its UIDs
 //! are made from the job's id and the number of the form (`FORM`).
@@ -8,6 +8,8 @@ mod codes;
 mod content;
 pub mod fhir;
 mod header;
+pub mod page;
+pub mod polar;
 pub mod sr;
 pub mod stl;
 
@@ -27,6 +29,12 @@ pub enum ArchiveError {
     /// The JSON writer failed.
     #[error("the FHIR bundle could not be written: {0}")]
     Json(#[from] serde_json::Error),
+    /// The PNG writer failed.
+    #[error("a picture could not be written: {0}")]
+    Picture(#[from] png::EncodingError),
+    /// The stored surfaces cannot be read.
+    #[error(transparent)]
+    Surfaces(#[from] crate::export::ExportError),
 }
 
 /// A finished reconstruction.

@@ -35,6 +35,8 @@ pub struct Results {
     pub document: Document,
     /// Our own AE title.
     pub calling: Title,
+    /// The header Authorization of STOW-RS.
+    pub authorization: Option<String>,
 }
 
 /// Why a result is not known to have arrived. Nothing here holds the URL's path or query.
@@ -76,7 +78,7 @@ impl Results {
         let destination = Destination::parse(url, sender.allowed())?;
         let document = (self.document)(store.clone(), job).await.map_err(ResultError::Document)?;
         match destination {
-            Destination::Stow(_) => stow(sender, url, &document).await,
+            Destination::Stow(_) => stow(sender, url, &document, self.authorization.as_deref()).await,
             Destination::Store { called, target } => {
                 let sending = async {
                     let stream = sender.connect(&target).await?;
@@ -88,13 +90,15 @@ impl Results {
     }
 }
 
-async fn stow(sender: &Sender, url: &str, document: &[u8]) -> Result<(), ResultError> {
+async fn stow(sender: &Sender, url: &str, document: &[u8], authorization: Option<&str>) -> Result<(), ResultError> {
     let instance = instance(document).ok_or_else(|| ResultError::Document("it has no SOP Instance UID".to_owned()))?;
     let head = format!("--{BOUNDARY}\r\nContent-Type: application/dicom\r\nContent-Length: {}\r\n\r\n", document.len());
     let body = [head.as_bytes(), document, format!("\r\n--{BOUNDARY}--\r\n").as_bytes()].concat();
+    let mut headers = vec![("accept", "application/dicom+json".to_owned())];
+    headers.extend(authorization.map(|value| ("authorization", value.to_owned())));
     let message = Message {
         media_type: &format!("multipart/related; type=\"application/dicom\"; boundary={BOUNDARY}"),
-        headers: &[("accept", "application/dicom+json".to_owned())],
+        headers: &headers,
         body,
         answer_bytes: MOST_ANSWER_BYTES,
     };

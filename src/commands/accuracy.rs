@@ -14,7 +14,7 @@ use ventricle::{
     accuracy::{
         self, ablation, bland_altman, criteria,
         family::{self, Group, Member},
-        line, pictures, published, real,
+        line, pictures, published, real, regional,
         score::{Method, Run},
         tables,
     },
@@ -41,6 +41,10 @@ pub(crate) struct Args {
     /// Runs a part of them again without each ingredient of the clinical preset.
     #[arg(long)]
     ablation: bool,
+
+    /// Runs the hearts whose parts beat, thicken or take up differently, and no other phantoms.
+    #[arg(long, conflicts_with_all = ["methods", "ablation", "plots"])]
+    regional: bool,
 
     /// A folder of labelled studies: `labels.json` and NIfTI files.
     #[arg(long, value_name = "DIR")]
@@ -95,6 +99,9 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let labelled = args.real.as_deref().map(labelled).transpose()?;
     let threads = args.threads.map_or_else(|| thread::available_parallelism().map_or(1, NonZeroUsize::get), NonZeroUsize::get);
     let output = Output(args.write.as_deref());
+    if args.regional {
+        parts_of_hearts(&args, &output, threads)?;
+    }
     let members = members(&args)?;
     if !members.is_empty() {
         phantoms(&args, &output, &members, &methods, threads)?;
@@ -106,7 +113,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
 }
 
 fn members(args: &Args) -> anyhow::Result<Vec<Member>> {
-    if args.every == 0 {
+    if args.every == 0 || args.regional {
         return Ok(Vec::new());
     }
     let chosen =
@@ -148,6 +155,28 @@ fn phantoms(args: &Args, output: &Output<'_>, members: &[Member], methods: &[Met
         output.put("ablation", &ablation::markdown(&runs, &ablation::run(threads)?))?;
     }
     Ok(())
+}
+
+fn parts_of_hearts(args: &Args, output: &Output<'_>, threads: usize) -> anyhow::Result<()> {
+    let each = |run: &regional::score::Run| {
+        if args.verbose {
+            let _ = writeln!(std::io::stdout().lock(), "{}", regional::score::line(run));
+        }
+    };
+    let chosen = regional::family::hearts()
+        .into_iter()
+        .filter(|heart| args.family.as_ref().is_none_or(|name| heart.kind.name().contains(name.as_str())));
+    let hearts: Vec<_> = chosen.step_by(args.every.max(1)).collect();
+    let runs = regional::run(&hearts, threads, each)?;
+    output.put("regional hearts", &regional::tables::definitions())?;
+    output.put("regional criteria", &criteria::markdown(&regional::criteria::judged(&runs)))?;
+    output.put("regional segments", &regional::tables::segments(&runs))?;
+    output.put("regional phases", &regional::tables::phases(&runs))?;
+    output.put("regional late", &regional::tables::late(&runs))?;
+    output.put("regional rates", &regional::tables::rates(&runs))?;
+    output.put("regional shapes", &regional::tables::shapes(&runs))?;
+    output.put("regional defects", &regional::tables::defects(&runs))?;
+    output.put("regional pairs", &regional::tables::pairs(&runs))
 }
 
 fn real_studies(args: &Args, output: &Output<'_>, studies: &[real::Labelled], methods: &[Method], threads: usize) -> anyhow::Result<()> {

@@ -11,6 +11,7 @@ use std::{
     path::PathBuf,
 };
 use ventricle::{
+    analysis::analyse,
     codecs::Decoder,
     config,
     export::{glb, vtu},
@@ -84,12 +85,14 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     let reconstruction = pool.install(|| pipeline::reconstruct(&study, &chosen, &watch));
     let timing = watch.finish();
     let reconstruction = reconstruction?;
-    let report = report::build("local", &study, &reconstruction, &timing);
+    let analysis = analyse(&study, &reconstruction);
+    let report = report::build("local", &study, &reconstruction, &analysis, &timing);
     if let Some(path) = &args.output {
         fs::write(path, pretty(&report)?).with_context(|| format!("{} could not be written", path.display()))?;
     }
     if let Some(path) = &args.glb {
-        fs::write(path, glb::cycle(&study, &reconstruction)?).with_context(|| format!("{} could not be written", path.display()))?;
+        fs::write(path, glb::cycle(&study, &reconstruction, &analysis)?)
+            .with_context(|| format!("{} could not be written", path.display()))?;
     }
     if let Some(folder) = &args.wall {
         fs::create_dir_all(folder).with_context(|| format!("{} could not be made", folder.display()))?;

@@ -35,6 +35,16 @@ impl Picture {
         }
     }
 
+    /// Mixes a colour into a pixel: 0 leaves it, 1 replaces it.
+    pub fn blend(&mut self, x: usize, y: usize, colour: [f32; 3], part: f32) {
+        if x < self.width && y < self.height {
+            let at = 3 * (y * self.width + x);
+            for (old, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {
+                *old = byte(f32::from(*old) / 255.0 * (1.0 - part) + new * part);
+            }
+        }
+    }
+
     /// Lays another picture over this one, its upper left corner at a place, as far as it fits.
     pub fn paste(&mut self, other: &Self, (left, top): (usize, usize)) {
         let width = other.width.min(self.width.saturating_sub(left));

@@ -14,6 +14,16 @@ pub enum Anchor {
     End,
 }
 
+impl Anchor {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Middle => "middle",
+            Self::End => "end",
+        }
+    }
+}
+
 /// Colour of texts and axes.
 pub const INK: &str = "#222";
 /// Colour of grid lines and of what is said aside.
@@ -40,11 +50,7 @@ impl Sheet {
 
     /// A text of a size in pixels.
     pub fn text(&mut self, (x, y): (f64, f64), size: f64, anchor: Anchor, colour: &str, text: &str) {
-        let anchor = match anchor {
-            Anchor::Start => "start",
-            Anchor::Middle => "middle",
-            Anchor::End => "end",
-        };
+        let anchor = anchor.name();
         let text = escaped(text);
         self.push(format_args!(r#"<text x="{x:.1}" y="{y:.1}" font-size="{size}" text-anchor="{anchor}" fill="{colour}">{text}</text>"#));
     }
@@ -68,6 +74,41 @@ impl Sheet {
         }
     }
 
+    /// Lines through points in one stroke: crossings are not darker where it is not opaque.
+    pub fn lines(&mut self, lines: &[Vec<(f64, f64)>], colour: &str, width: f64, opacity: f64) {
+        let place = |(index, (x, y)): (usize, &(f64, f64))| format!("{}{x:.1} {y:.1}", if index == 0 { 'M' } else { 'L' });
+        let path: String = lines.iter().flat_map(|line| line.iter().enumerate().map(place)).collect();
+        self.push(format_args!(
+            r#"<path d="{path}" fill="none" stroke="{colour}" stroke-width="{width}" stroke-opacity="{opacity}" stroke-linejoin="round"/>"#
+        ));
+    }
+
+    /// A text whose middle in height is at the point, with a rim of a colour and width, and read from below if so wished.
+    #[expect(clippy::too_many_arguments, reason = "a text has that many properties")]
+    pub fn haloed_text(
+        &mut self,
+        (x, y): (f64, f64),
+        size: f64,
+        anchor: Anchor,
+        colour: &str,
+        halo: Option<(String, f64)>,
+        upright: bool,
+        text: &str,
+    ) {
+        let anchor = anchor.name();
+        let halo = halo.map_or_else(String::new, |(colour, width)| {
+            format!(r#" stroke="{colour}" stroke-width="{width:.2}" stroke-linejoin="round" paint-order="stroke""#)
+        });
+        let turn = if upright { " rotate(-90)" } else { "" };
+        let text = escaped(text);
+        // A third of its size below the middle: capitals and digits are then in the middle.
+        self.push(format_args!(
+            r#"<text transform="translate({x:.1} {y:.1}){turn}" y="{:.1}" font-size="{}" text-anchor="{anchor}" fill="{colour}"{halo}>{text}</text>"#,
+            0.27 * size,
+            0.76 * size
+        ));
+    }
+
     /// A filled rectangle.
     pub fn rectangle(&mut self, (x, y): (f64, f64), (width, height): (f64, f64), fill: &str) {
         self.push(format_args!(r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" fill="{fill}"/>"#));
@@ -87,6 +128,18 @@ impl Sheet {
         ));
     }
 
+    /// The document, or a part of a page, with a name and a description for those who cannot see it; `id` keeps them apart within a page.
+    pub fn described(self, id: &str, title: &str, description: &str) -> String {
+        let Self { width, height, body } = self;
+        let (title, description) = (escaped(title), escaped(description));
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" role=\"img\" \
+             aria-labelledby=\"{id}-title {id}-desc\" font-family=\"Helvetica, Arial, sans-serif\">\n\
+             <title id=\"{id}-title\">{title}</title>\n<desc id=\"{id}-desc\">{description}</desc>\n\
+             <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n{body}</svg>\n"
+        )
+    }
+
     /// The document.
     pub fn finish(self) -> String {
         let Self { width, height, body } = self;
@@ -97,8 +150,9 @@ impl Sheet {
     }
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+/// A text as XML and HTML take it between tags and in attributes in double quotes.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// A colour as SVG writes it.

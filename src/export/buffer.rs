@@ -3,9 +3,10 @@
 use super::ExportError;
 use glam::DVec3;
 use gltf_json::{
-    Accessor, Buffer, Index, Root, Value,
+    Accessor, Buffer, Image, Index, Root, Value,
     accessor::{ComponentType, GenericComponentType, Type},
     buffer::{Stride, Target, View},
+    image::MimeType,
     validation::{Checked, USize64},
 };
 
@@ -15,6 +16,8 @@ enum Use {
     Vertices,
     Triangles,
     Keyframes,
+    Places,
+    Scalars,
 }
 
 /// Arrays on their way into one buffer.
@@ -23,6 +26,9 @@ pub(super) struct Arrays {
     vertices: Vec<u8>,
     triangles: Vec<u8>,
     keyframes: Vec<u8>,
+    places: Vec<u8>,
+    scalars: Vec<u8>,
+    images: Vec<(String, Vec<u8>)>,
     accessors: Vec<(Use, Accessor)>,
 }
 
@@ -55,6 +61,26 @@ impl Arrays {
             ComponentType::U32
         };
         self.push(Use::Triangles, offset, 3 * triangles.len(), kind, Type::Scalar, None)
+    }
+
+    /// Texture coordinates, one pair a vertex.
+    pub(super) fn push_places(&mut self, places: &[[f32; 2]]) -> Index<Accessor> {
+        let offset = self.places.len();
+        self.places.extend(places.iter().flatten().flat_map(|component| component.to_le_bytes()));
+        self.push(Use::Places, offset, places.len(), ComponentType::F32, Type::Vec2, None)
+    }
+
+    /// A number a vertex.
+    pub(super) fn push_scalars(&mut self, values: &[f32]) -> Index<Accessor> {
+        let offset = self.scalars.len();
+        self.scalars.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        self.push(Use::Scalars, offset, values.len(), ComponentType::F32, Type::Scalar, None)
+    }
+
+    /// A PNG picture.
+    pub(super) fn push_image(&mut self, name: &str, png: Vec<u8>) -> Index<Image> {
+        self.images.push((name.to_owned(), png));
+        Index::new(self.images.len() as u32 - 1)
     }
 
     /// Times or weights of an animation.
@@ -97,15 +123,7 @@ impl Arrays {
     /// Puts accessors, views and the buffer into the document and returns the buffer's bytes.
     pub(super) fn finish(mut self, root: &mut Root) -> Vec<u8> {
         let mut bytes: Vec<u8> = Vec::with_capacity(self.vertices.len() + self.triangles.len() + self.keyframes.len() + 3);
-        let parts = [
-            (Use::Vertices, self.vertices, Some(Stride(12)), Some(Target::ArrayBuffer)),
-            (Use::Triangles, self.triangles, None, Some(Target::ElementArrayBuffer)),
-            (Use::Keyframes, self.keyframes, None, None),
-        ];
-        for (used, data, byte_stride, target) in parts {
-            if data.is_empty() {
-                continue;
-            }
+        let mut push_view = |root: &mut Root, data: Vec<u8>, byte_stride: Option<Stride>, target: Option<Target>| {
             while !bytes.len().is_multiple_of(4) {
                 bytes.push(0);
             }
@@ -119,10 +137,29 @@ impl Arrays {
                 extensions: None,
                 extras: None,
             });
+            bytes.extend(data);
+            view
+        };
+        let parts = [
+            (Use::Vertices, self.vertices, Some(Stride(12)), Some(Target::ArrayBuffer)),
+            (Use::Triangles, self.triangles, None, Some(Target::ElementArrayBuffer)),
+            (Use::Keyframes, self.keyframes, None, None),
+            (Use::Places, self.places, Some(Stride(8)), Some(Target::ArrayBuffer)),
+            (Use::Scalars, self.scalars, Some(Stride(4)), Some(Target::ArrayBuffer)),
+        ];
+        for (used, data, byte_stride, target) in parts {
+            if data.is_empty() {
+                continue;
+            }
+            let view = push_view(root, data, byte_stride, target);
             for (_, accessor) in self.accessors.iter_mut().filter(|(of, _)| *of == used) {
                 accessor.buffer_view = Some(view);
             }
-            bytes.extend(data);
+        }
+        for (name, png) in self.images {
+            let buffer_view = Some(push_view(root, png, None, None));
+            let mime_type = Some(MimeType("image/png".to_owned()));
+            root.push(Image { buffer_view, mime_type, name: Some(name), uri: None, extensions: None, extras: None });
         }
         root.accessors = self.accessors.into_iter().map(|(_, accessor)| accessor).collect();
         root.push(Buffer { byte_length: USize64::from(bytes.len()), name: None, uri: None, extensions: None, extras: None });

@@ -54,6 +54,11 @@ impl SceneFrame {
         DVec3::new(mm.x, mm.z, -mm.y) / 1000.0
     }
 
+    /// A direction of the grid as a direction of the scene, of the same length.
+    pub fn direction(&self, in_grid: DVec3) -> DVec3 {
+        (self.scene_m(in_grid) - self.scene_m(DVec3::ZERO)) * 1000.0
+    }
+
     /// A mesh in grid mm as a mesh of the scene about [`Self::centre_m`], triangles outward also when the grid is left-handed in the patient.
     pub fn mesh(&self, mesh: &Mesh) -> Mesh {
         let moved = mesh.map(|point| self.scene_m(point) - self.centre_m);

@@ -4,6 +4,8 @@ mod buffer;
 pub mod frame;
 pub mod glb;
 pub mod stl;
+pub mod stored;
+pub mod variants;
 pub mod vtu;
 
 use crate::pipeline::Surface;
@@ -50,6 +52,9 @@ pub enum ExportError {
     /// An array could not be compressed.
     #[error("The wall could not be written: {0}.")]
     Compression(#[from] std::io::Error),
+    /// A texture could not be written.
+    #[error("The surfaces' textures could not be written: {0}.")]
+    Texture(#[from] png::EncodingError),
     /// A stored surface is not as it was written.
     #[error("The stored surface has no {what} as this program writes it.")]
     NotOurs {

@@ -4,14 +4,12 @@
 //! precision about the heart's own centre, so a vertex moves by some nanometres, and by some ten more as the STL's single precision counts
 //! from the frame's origin.
 
-use super::ExportError;
-use glam::{DVec3, Vec3};
-use gltf_json::{
-    Accessor, Root,
-    accessor::{ComponentType, GenericComponentType},
-    mesh::Semantic,
-    validation::Checked,
+use super::{
+    ExportError,
+    stored::{chunks, indices, positions},
 };
+use glam::{DVec3, Vec3};
+use gltf_json::{Accessor, Root, mesh::Semantic, validation::Checked};
 use serde::Deserialize;
 
 /// Bytes before the triangles' number.
@@ -72,52 +70,6 @@ pub fn of_glb(glb: &[u8]) -> Result<Stl, ExportError> {
     let axes = if in_patient_frame { "patient LPS" } else { "grid" };
     let title = format!("ventricle {} surface, gate {}; mm, {axes}", facts.surface, facts.gate);
     Ok(Stl { bytes: written(&title, &triangles), in_patient_frame })
-}
-
-/// The JSON and the binary chunk (glTF 2.0, 4.4).
-fn chunks(glb: &[u8]) -> Option<(&[u8], &[u8])> {
-    let word = |at: usize| glb.get(at..at + 4).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
-    if glb.get(..4)? != b"glTF" || glb.get(16..20)? != b"JSON" {
-        return None;
-    }
-    let json_end = 20 + word(12)? as usize;
-    let binary_start = json_end + 8;
-    if glb.get(json_end + 4..binary_start)? != b"BIN\0" {
-        return None;
-    }
-    Some((glb.get(20..json_end)?, glb.get(binary_start..binary_start + word(json_end)? as usize)?))
-}
-
-/// The bytes of an array from its first element on, its stride and its number of elements.
-fn array<'a>(root: &Root, accessor: &Accessor, binary: &'a [u8], tight: usize) -> Option<(&'a [u8], usize, usize)> {
-    let view = root.buffer_views.get(accessor.buffer_view?.value())?;
-    let offset = |part: Option<gltf_json::validation::USize64>| part.map_or(0, |part| part.0 as usize);
-    let bytes = binary.get(offset(view.byte_offset)..)?.get(offset(accessor.byte_offset)..)?;
-    Some((bytes, view.byte_stride.map_or(tight, |stride| stride.0), accessor.count.0 as usize))
-}
-
-fn positions(root: &Root, accessor: &Accessor, binary: &[u8]) -> Option<Vec<[f32; 3]>> {
-    let (bytes, stride, count) = array(root, accessor, binary, 12)?;
-    let one = |vertex: usize| {
-        let (components, _) = bytes.get(vertex * stride..vertex * stride + 12)?.as_chunks::<4>();
-        Some(std::array::from_fn(|axis| f32::from_le_bytes(components[axis])))
-    };
-    (0..count).map(one).collect()
-}
-
-fn indices(root: &Root, accessor: &Accessor, binary: &[u8]) -> Option<Vec<u32>> {
-    let Checked::Valid(GenericComponentType(kind)) = accessor.component_type else { return None };
-    match kind {
-        ComponentType::U16 => {
-            let (bytes, _, count) = array(root, accessor, binary, 2)?;
-            Some(bytes.get(..2 * count)?.as_chunks::<2>().0.iter().map(|&index| u16::from_le_bytes(index).into()).collect())
-        }
-        ComponentType::U32 => {
-            let (bytes, _, count) = array(root, accessor, binary, 4)?;
-            Some(bytes.get(..4 * count)?.as_chunks::<4>().0.iter().map(|&index| u32::from_le_bytes(index)).collect())
-        }
-        _ => None,
-    }
 }
 
 /// 80 bytes of title, the number of triangles, and for each its normal, its corners counter-clockwise seen from outside, and two zeros.

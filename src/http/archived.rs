@@ -13,6 +13,7 @@ use crate::{
     export::stl,
     jobs::{Blob, Store, work},
     pipeline::Surface,
+    report::Report,
 };
 use axum::{
     extract::State,
@@ -195,19 +196,24 @@ async fn stored_surface(state: &AppState, id: Uuid, gate: u32, surface: Surface,
 }
 
 /// What results are made from, or why there are none.
-async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
-    let (Some(report), Some(job)) = (store.blob(id, work::REPORT).await?, store.get(id).await?) else {
-        return Err(missing(store, id, name).await?);
-    };
-    let report = serde_json::from_slice(&report.data).map_err(|error| {
-        tracing::error!(%error, %id, "a stored report cannot be read");
-        Problem::internal()
-    })?;
+pub(super) async fn finished(store: &Store, id: Uuid, name: &str) -> Result<Finished, Problem> {
+    let report = stored_report(store, id, name).await?;
+    let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     let subject = store.subject(id).await?;
     Ok(Finished { id, finished_at: job.finished_at.unwrap_or(job.created_at), report, subject })
 }
 
-async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
+/// The report as it is stored, for a result of this name; or why there is none.
+pub(super) async fn stored_report(store: &Store, id: Uuid, name: &str) -> Result<Report, Problem> {
+    let Some(report) = store.blob(id, work::REPORT).await? else { return Err(missing(store, id, name).await?) };
+    serde_json::from_slice(&report.data).map_err(|error| {
+        tracing::error!(%error, %id, "a stored report cannot be read");
+        Problem::internal()
+    })
+}
+
+/// Why a job has no such result.
+pub(super) async fn missing(store: &Store, id: Uuid, name: &str) -> Result<Problem, Problem> {
     let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     Ok(Problem::no_result(&job, name))
 }

@@ -1,15 +1,17 @@
 //! The contract, its reference page, and what stands at the root.
 
-use super::{AppState, problem::Problem, views::CallbackView};
+use super::{AppState, problem::Problem, results::send, views::CallbackView};
 use crate::{
+    jobs::Blob,
     parameters::{self, Description},
     pipeline::parameters::Parameters,
+    report::PublishedSchema,
 };
 use axum::{
     Json, Router,
     extract::State,
-    http::header,
-    response::{Html, IntoResponse},
+    http::{HeaderMap, header},
+    response::{Html, IntoResponse, Response},
 };
 use serde::Serialize;
 use utoipa::{
@@ -24,6 +26,9 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
 
 /// Where the URL of a callback stands in a JSON body; it may as well come by query or by the part `parameters`.
 const CALLBACK_URL: &str = "{$request.body#/parameters/callback_url}";
+
+/// Media type of a JSON Schema (JSON Schema 2020-12 §14.1).
+const JSON_SCHEMA: &str = "application/schema+json";
 
 /// What stands before the routes in the contract.
 #[derive(OpenApi)]
@@ -144,6 +149,40 @@ pub(super) async fn list_parameters(State(state): State<AppState>) -> Json<Param
 )]
 pub(super) async fn openapi(State(state): State<AppState>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-cache")], state.openapi.to_string())
+}
+
+/// Reads the JSON Schema of a report.
+///
+/// JSON Schema 2020-12 of `GET /v1/reconstructions/{id}/report`. Fields may be added under the same version.
+#[utoipa::path(
+    get, path = "/schemas/report-1.json", operation_id = "reportSchema", tag = "operation",
+    responses(
+        (status = 200, description = "JSON Schema 2020-12", body = Object, content_type = "application/schema+json",
+         headers(("ETag" = String, description = "SHA-256 of the body"))),
+        (status = 304, description = "The copy at hand is still right"),
+    ),
+)]
+pub(super) async fn report_schema(headers: HeaderMap) -> Response {
+    schema(&headers, PublishedSchema::Report)
+}
+
+/// Reads the JSON Schema of a comparison.
+///
+/// JSON Schema 2020-12 of `GET /v1/reconstructions/{id}/comparison`. Fields may be added under the same version.
+#[utoipa::path(
+    get, path = "/schemas/comparison-1.json", operation_id = "comparisonSchema", tag = "operation",
+    responses(
+        (status = 200, description = "JSON Schema 2020-12", body = Object, content_type = "application/schema+json",
+         headers(("ETag" = String, description = "SHA-256 of the body"))),
+        (status = 304, description = "The copy at hand is still right"),
+    ),
+)]
+pub(super) async fn comparison_schema(headers: HeaderMap) -> Response {
+    schema(&headers, PublishedSchema::Comparison)
+}
+
+fn schema(headers: &HeaderMap, schema: PublishedSchema) -> Response {
+    send(headers, Blob::new(JSON_SCHEMA, schema.document().into_bytes()))
 }
 
 /// The reference page, with its assets from inside the program: it works without a network.

@@ -44,6 +44,18 @@ impl<S: Send + Sync> FromRequestParts<S> for IdAndGate {
     }
 }
 
+/// The id of a reconstruction and the name of a picture in the path.
+pub(super) struct IdAndImage(pub Uuid, pub String);
+
+impl<S: Send + Sync> FromRequestParts<S> for IdAndImage {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let Path((id, image)) = Path::from_request_parts(parts, state).await?;
+        Ok(Self(id, image))
+    }
+}
+
 /// A Study Instance UID in the path.
 pub(super) struct StudyUid(pub String);
 

@@ -7,6 +7,7 @@
 
 mod archived;
 mod body;
+mod comparison;
 mod dicomweb;
 mod docs;
 mod events;
@@ -15,6 +16,7 @@ mod health;
 mod layers;
 mod listener;
 mod negotiate;
+mod pictures;
 mod problem;
 mod reconstructions;
 mod results;
@@ -217,6 +219,10 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::endocardial))
         .routes(routes!(results::epicardial))
         .routes(routes!(results::wall))
+        .routes(routes!(comparison::comparison))
+        .routes(routes!(results::polar_maps))
+        .routes(routes!(pictures::polar_map))
+        .routes(routes!(pictures::report_page))
         .routes(routes!(archived::sr))
         .routes(routes!(archived::fhir))
         .routes(routes!(archived::endocardial_stl))
@@ -228,6 +234,8 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(health::readyz))
         .routes(routes!(health::metrics))
         .routes(routes!(docs::openapi))
+        .routes(routes!(docs::report_schema))
+        .routes(routes!(docs::comparison_schema))
         .layer(timeout());
     // A submission has its own time for the body, and none for being parsed: its place is taken and its size known.
     OpenApiRouter::with_openapi(docs::Contract::openapi())

@@ -8,6 +8,7 @@ use crate::{
     jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
     pipeline::PipelineError,
+    report::ComparisonError,
 };
 use axum::{
     body::Body,
@@ -273,6 +274,14 @@ impl From<ExportError> for Problem {
     fn from(error: ExportError) -> Self {
         tracing::error!(%error, "a stored surface could not be read");
         Self::internal()
+    }
+}
+
+impl From<ComparisonError> for Problem {
+    fn from(error: ComparisonError) -> Self {
+        match error {
+            ComparisonError::WithoutSegments { .. } => Self::new(StatusCode::CONFLICT, "result_too_old", sentence(&error.to_string())),
+        }
     }
 }
 

@@ -7,7 +7,10 @@ use super::{
     problem::Problem,
     views::Binary,
 };
-use crate::{jobs::Blob, report::Report};
+use crate::{
+    jobs::Blob,
+    report::{PolarMaps, Report},
+};
 use axum::{
     extract::State,
     http::{HeaderMap, StatusCode, header},
@@ -42,9 +45,33 @@ pub(super) async fn report(State(state): State<AppState>, Id(id): Id, headers: H
     result(&state, id, &headers, "application/json", "report").await
 }
 
+/// Reads the polar maps as numbers.
+///
+/// Perfusion, thickness, thickening, motion and phase of the wall on 20 rings of 60 sectors, anterior up and septal left. As pictures they are
+/// `polar-maps/{quantity}.png` and `.svg`.
+#[utoipa::path(
+    get, path = "/v1/reconstructions/{id}/polar-maps", operation_id = "getPolarMaps", tag = "results",
+    params(
+        ("id" = String, Path, format = "uuid", description = "Id of the reconstruction"),
+        ("If-None-Match" = Option<String>, Header, description = "`ETag` of the copy at hand"),
+    ),
+    responses(
+        (status = 200, description = "The maps", body = PolarMaps, headers(("ETag" = String, description = "SHA-256 of the body"))),
+        (status = 304, description = "The copy at hand is still right"),
+        (status = 404, description = "No such reconstruction, or one of a version before 0.2 (`no_such_result`)", body = Problem,
+         content_type = "application/problem+json"),
+        (status = 406, description = "`Accept` excludes JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished, failed or cancelled", body = Problem, content_type = "application/problem+json"),
+    ),
+)]
+pub(super) async fn polar_maps(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+    result(&state, id, &headers, "application/json", "polar-maps").await
+}
+
 /// Reads both surfaces over the whole cycle.
 ///
-/// Binary glTF in metres, +Y up: nodes `endocardial` and `epicardial`, a morph target a gate and a looping animation over the R-R interval.
+/// Binary glTF in metres, +Y up: nodes `endocardial` and `epicardial`, a morph target a gate and a looping animation over the R-R interval. The wall's
+/// perfusion, thickness, thickening, motion and phase can be chosen as colours (`KHR_materials_variants`) and are attributes of the vertices.
 #[utoipa::path(
     get, path = "/v1/reconstructions/{id}/surfaces.glb", operation_id = "getSurfaces", tag = "results",
     params(("id" = String, Path, format = "uuid", description = "Id of the reconstruction")),

@@ -219,7 +219,8 @@ fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
     }
     let document: Document = Arc::new(|store, id| Box::pin(async move { archived::document(&store, id).await }));
     let calling = dimse::Title::parse(&settings.dimse_ae_title).ok_or_else(|| io::Error::other("the AE title is none"))?;
-    let results = destination.map(|_| Results { document, calling });
+    let authorization = settings.results_authorization()?.map(|secret| secret.expose().to_owned());
+    let results = destination.map(|_| Results { document, calling, authorization });
     Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
 }
 

@@ -36,6 +36,8 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+        "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
+        "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
         "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
     }
@@ -90,6 +92,8 @@ pub struct JobView {
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+        "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
+        "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
         "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
     }
@@ -199,6 +203,10 @@ pub struct Links {
     pub report: String,
     /// Its surfaces over the cycle as animated glTF.
     pub surfaces: String,
+    /// Its polar maps as numbers.
+    pub polar_maps: String,
+    /// Its report as a page for people.
+    pub page: String,
     /// Its measurements as a DICOM structured report.
     pub sr: String,
     /// Its measurements as a FHIR bundle.
@@ -212,6 +220,8 @@ impl Links {
             events: format!("{this}/events"),
             report: format!("{this}/report"),
             surfaces: format!("{this}/surfaces.glb"),
+            polar_maps: format!("{this}/polar-maps"),
+            page: format!("{this}/report.html"),
             sr: format!("{this}/sr.dcm"),
             fhir: format!("{this}/fhir"),
             this,

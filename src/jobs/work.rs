@@ -2,9 +2,10 @@
 
 use super::progress::Progress;
 use crate::{
+    analysis::analyse,
     export::{ExportError, glb, vtu},
     pipeline::{self, PipelineError, Surface, monitor::Monitor, parameters::Parameters},
-    report::{self, Timing},
+    report::{self, PolarMaps, Timing},
     study::Study,
 };
 use std::sync::Arc;
@@ -14,6 +15,8 @@ use uuid::Uuid;
 pub const REPORT: &str = "report";
 /// Name of the animated surfaces among a job's blobs.
 pub const SURFACES: &str = "surfaces.glb";
+/// Name of the polar maps among a job's blobs.
+pub const POLAR_MAPS: &str = "polar-maps";
 /// Media type of binary glTF (glTF 2.0 §3.2).
 const GLB: &str = "model/gltf-binary";
 /// Media type of a VTK XML file, which has none of its own; `model/vnd.vtu` is registered for another vendor's format.
@@ -62,18 +65,22 @@ pub enum WorkError {
 /// What a worker does with a job. Runs inside the worker's own rayon pool; may panic.
 pub type Work = Arc<dyn Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync>;
 
-/// Reconstructs the study; the results are [`REPORT`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF), and the wall of
-/// every gate (VTK).
+/// Reconstructs the study; the results are [`REPORT`] and [`POLAR_MAPS`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF),
+/// and the wall of every gate (VTK).
 pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, progress: &Progress) -> Result<Vec<Output>, WorkError> {
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
     // A fit that came to rest early stops short of its steps.
     progress.advance(1, 1);
+    let analysis = analyse(study, &reconstruction);
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
-    let report = report::build(&id.to_string(), study, &reconstruction, &timing);
+    let report = report::build(&id.to_string(), study, &reconstruction, &analysis, &timing);
     let report = serde_json::to_vec(&report).map_err(|error| WorkError::Internal(format!("report: {error}")))?;
+    let maps = PolarMaps::of(&id.to_string(), &analysis);
+    let maps = serde_json::to_vec(&maps).map_err(|error| WorkError::Internal(format!("polar maps: {error}")))?;
     let mut outputs = vec![
         Output { name: REPORT.to_owned(), media_type: "application/json", data: report },
-        Output { name: SURFACES.to_owned(), media_type: GLB, data: glb::cycle(study, &reconstruction)? },
+        Output { name: SURFACES.to_owned(), media_type: GLB, data: glb::cycle(study, &reconstruction, &analysis)? },
+        Output { name: POLAR_MAPS.to_owned(), media_type: "application/json", data: maps },
     ];
     for gate in 0..reconstruction.gates.len() {
         if progress.is_cancelled() {
@@ -101,6 +108,7 @@ impl From<ExportError> for WorkError {
     fn from(error: ExportError) -> Self {
         match error {
             ExportError::Json(error) => Self::Internal(format!("glTF: {error}")),
+            ExportError::Texture(error) => Self::Internal(format!("glTF: {error}")),
             ExportError::Compression(error) => Self::Internal(format!("VTK: {error}")),
             error => Self::Failed { code: "export_failed", message: error.to_string() },
         }

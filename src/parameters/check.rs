@@ -5,9 +5,6 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use utoipa::PartialSchema;
 
-/// Fields that the published contract names and this version does not have yet: a client that sends one is told so, and not that it does not
-/// exist.
-const NOT_YET_AVAILABLE: [&str; 1] = ["/metadata"];
 /// The field that is about the job and not about its numbers.
 const RETENTION: &str = "retention_seconds";
 
@@ -84,7 +81,8 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
 }
 
 fn unknown(pointer: &str, schema: &Value) -> Complaint {
-    if let Some(detail) = not_yet_available(pointer) {
+    if pointer.strip_prefix('/') == Some(RETENTION) {
+        let detail = format!("{} is for jobs of the service, which keeps them; here it changes nothing. Leave it out.", dotted(pointer));
         return Complaint { code: "unavailable_parameter", pointer: pointer.to_owned(), detail };
     }
     let mut detail = format!("{} is not a parameter", dotted(pointer));
@@ -93,14 +91,6 @@ fn unknown(pointer: &str, schema: &Value) -> Complaint {
         let _ = write!(detail, "; known here are {known}");
     }
     Complaint { code: "unknown_parameter", pointer: pointer.to_owned(), detail: detail + "." }
-}
-
-fn not_yet_available(pointer: &str) -> Option<String> {
-    if pointer.strip_prefix('/') == Some(RETENTION) {
-        return Some(format!("{} is for jobs of the service, which keeps them; here it changes nothing. Leave it out.", dotted(pointer)));
-    }
-    let known = NOT_YET_AVAILABLE.contains(&pointer);
-    known.then(|| format!("{} is not available in this version; leave it out.", dotted(pointer)))
 }
 
 /// A pointer as people write it: `` `edges.sigma` ``.

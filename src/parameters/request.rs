@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level` and `region` are of both presets,
-/// `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
+/// How to reconstruct. Everything is optional; what is left out keeps the value of the preset. `mesh.level`, `region`, `analysis` and `metadata` are
+/// of both presets, `pose` and `refine` of `clinical` alone, everything else of `paper` alone: its defaults are that preset's. What would change nothing is refused
 /// by name, unless it is the default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -36,6 +36,12 @@ pub struct Request {
     /// The model of the camera. Only with the preset `clinical`.
     #[schema(inline)]
     pub refine: Option<Refine>,
+    /// What is derived from the surfaces.
+    #[schema(inline)]
+    pub analysis: Option<Analysis>,
+    /// What is known of the patient's body, to set volumes against.
+    #[schema(inline)]
+    pub metadata: Option<Metadata>,
     /// Not for the reconstruction but for its job: seconds it is kept after its end, with all its data; then it is deleted. Left out it is kept as
     /// long as the service keeps all. The longest this service allows is the `maximum` in `GET /v1/parameters`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -87,6 +93,31 @@ pub struct Pose {
     /// Where the long axis meets the valve plane, `[x, y, z]` in mm.
     #[schema(min_items = 3, max_items = 3)]
     pub base_mm: Option<[f64; 3]>,
+}
+
+/// What is derived from the surfaces.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Analysis {
+    /// Where the anterior wall is: a direction from the long axis, `[x, y, z]` along row, column and slices as `pose`, of any length. Left out it
+    /// is taken from the patient's axes; where the study does not tell them, the first row is assumed to be anterior.
+    #[schema(min_items = 3, max_items = 3)]
+    pub anterior: Option<[f64; 3]>,
+    /// Perfusion below this part of the maximum, in percent, is a defect.
+    #[schema(minimum = 10, maximum = 90, default = 60.0)]
+    pub perfusion_threshold_percent: Option<f64>,
+}
+
+/// The patient's body.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Metadata {
+    /// Height in m. Left out it is the DICOM file's, if that has it.
+    #[schema(minimum = 0.3, maximum = 2.5)]
+    pub height_m: Option<f64>,
+    /// Weight in kg. Left out it is the DICOM file's, if that has it.
+    #[schema(minimum = 2, maximum = 400)]
+    pub weight_kg: Option<f64>,
 }
 
 /// Edge detection.

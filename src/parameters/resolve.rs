@@ -36,6 +36,11 @@ pub fn resolve(mut request: Request) -> Result<chosen::Parameters, ParameterErro
     };
     let pose = request.pose.unwrap_or_default();
     out.pose = chosen::PoseMarks { apex_mm: pose.apex_mm, base_mm: pose.base_mm };
+    let analysis = request.analysis.unwrap_or_default();
+    out.analysis.anterior = analysis.anterior;
+    out.analysis.perfusion_threshold_percent = analysis.perfusion_threshold_percent.unwrap_or(out.analysis.perfusion_threshold_percent);
+    let metadata = request.metadata.unwrap_or_default();
+    out.metadata = chosen::Metadata { height_m: metadata.height_m, weight_kg: metadata.weight_kg };
     edges(&mut out.edges, &request.edges.unwrap_or_default())?;
     let gvf = request.gvf.unwrap_or_default();
     out.gvf.mu = gvf.mu.unwrap_or(out.gvf.mu);

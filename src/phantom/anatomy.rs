@@ -4,6 +4,7 @@
 
 use super::decoy::{Decoy, Part};
 use super::pose::Warp;
+use super::regional::Borders;
 use super::shape::{Shape, Surfaces};
 use super::solid::Solid;
 use super::{Phantom, pose::Pose};
@@ -41,7 +42,7 @@ pub struct Defect {
     /// Where it is.
     pub site: Site,
     /// Its share of the wall's volume, in `[0, 1]`, exact at every gate: an apical defect ends at the height that cuts off this share, the
-    /// others are sectors from apex to base.
+    /// others are sectors from apex to base. Of a wall with [`super::Regional`] parts it is the share that it would be without them.
     pub extent: f64,
     /// Share of the uptake that is lost, in `[0, 1]`.
     pub severity: f64,
@@ -91,7 +92,7 @@ pub(super) struct Scene {
 
 #[derive(Debug, Clone)]
 struct LeftVentricle {
-    surfaces: Surfaces,
+    borders: Borders,
     warp: Warp,
     /// Greatest distance from the axis of anything of either ventricle, canonical, in mm.
     reach_mm: f64,
@@ -130,12 +131,13 @@ impl Scene {
     pub(super) fn at_phase(phantom: &Phantom, phase: f64) -> Self {
         let uptake = &phantom.uptake;
         let end_diastole = phantom.shape.surfaces(0.0);
-        let ventricle = phantom.shape.surfaces(phase).zip(end_diastole).map(|(surfaces, end_diastole)| {
+        let ventricle = Borders::at_phase(phantom, phase).zip(end_diastole).map(|(borders, end_diastole)| {
+            let surfaces = borders.surfaces;
             let right = (uptake.right_ventricle > 0.0).then(|| RightVentricle::beside(&surfaces.epicardium, uptake.right_ventricle));
             LeftVentricle {
-                surfaces,
                 warp: Warp::new(phantom.deformation, end_diastole.epicardium.base_w_mm()),
-                reach_mm: right.map_or(0.0, |right| right.reach_mm().length()).max(surfaces.epicardium.widest_radius_mm()),
+                reach_mm: right.map_or(0.0, |right| right.reach_mm().length()).max(borders.reach_mm()),
+                borders,
                 blood: uptake.blood_pool,
                 nonuniformity: uptake.nonuniformity,
                 defects: uptake.defects.iter().map(|defect| (Territory::of(defect, &surfaces), 1.0 - defect.severity)).collect(),
@@ -185,6 +187,11 @@ impl Scene {
         self.ventricle.as_ref().map_or(Tissue::Outside, |ventricle| ventricle.tissue(ventricle.warp.undo(local)))
     }
 
+    /// What the wall takes up at a point in canonical coordinates; 0 without a ventricle.
+    pub(super) fn wall_uptake(&self, canonical: DVec3) -> f64 {
+        self.ventricle.as_ref().map_or(0.0, |ventricle| ventricle.wall_uptake(canonical))
+    }
+
     /// A box `(low, high)` in grid mm outside which the excess is zero; `None` when it is zero everywhere.
     pub(super) fn bounds_mm(&self) -> Option<(DVec3, DVec3)> {
         let heart = self.ventricle.as_ref().map(LeftVentricle::bounds);
@@ -207,19 +214,21 @@ impl Scene {
     pub(super) fn landmarks_mm(&self) -> Option<(DVec3, DVec3)> {
         let ventricle = self.ventricle.as_ref()?;
         let place = |w: f64| self.centre_mm + self.to_local.transpose() * ventricle.warp.apply(DVec3::new(0.0, 0.0, w));
-        Some((place(ventricle.surfaces.epicardium.tip_w_mm()), place(ventricle.surfaces.epicardium.base_w_mm())))
+        let epicardium = &ventricle.borders.surfaces.epicardium;
+        Some((place(epicardium.tip_w_mm()), place(epicardium.base_w_mm())))
     }
 
     /// Whether the outer surface lies within the voxels of the grid (true without a ventricle); 48 × 48 points are tried.
     pub(super) fn ventricle_is_within(&self, grid: &Grid) -> bool {
         let Some(ventricle) = &self.ventricle else { return true };
-        let epicardium = &ventricle.surfaces.epicardium;
+        let epicardium = &ventricle.borders.surfaces.epicardium;
         let (tip, base) = (epicardium.tip_w_mm(), epicardium.base_w_mm());
         (0..48 * 48).all(|point| {
             // Just below the valve plane, where the profile still has its radius.
             let w = tip + (base - tip) * f64::from(point / 48) / 47.0 * (1.0 - 1e-9);
-            let radius = epicardium.radius_squared_mm2(w).max(0.0).sqrt();
-            let (sine, cosine) = (TAU * f64::from(point % 48) / 48.0).sin_cos();
+            let angle = TAU * f64::from(point % 48) / 48.0;
+            let radius = ventricle.borders.outer_squared_mm2(|| angle, w).max(0.0).sqrt();
+            let (sine, cosine) = angle.sin_cos();
             let local = ventricle.warp.apply(DVec3::new(radius * cosine, radius * sine, w));
             grid.voxel_at(self.centre_mm + self.to_local.transpose() * local).is_some()
         })
@@ -235,9 +244,10 @@ pub(super) fn centre_mm(grid: &Grid, pose: &Pose) -> DVec3 {
 impl LeftVentricle {
     fn tissue(&self, canonical: DVec3) -> Tissue {
         let radius_squared = canonical.x * canonical.x + canonical.y * canonical.y;
-        if radius_squared >= self.surfaces.epicardium.radius_squared_mm2(canonical.z) {
+        let angle = || canonical.y.atan2(canonical.x);
+        if radius_squared >= self.borders.outer_squared_mm2(angle, canonical.z) {
             Tissue::Outside
-        } else if radius_squared >= self.surfaces.endocardium.radius_squared_mm2(canonical.z) {
+        } else if radius_squared >= self.borders.inner_squared_mm2(angle, canonical.z) {
             Tissue::Wall
         } else {
             Tissue::Cavity
@@ -250,7 +260,7 @@ impl LeftVentricle {
         match self.tissue(canonical) {
             Tissue::Wall => Some(self.wall_uptake(canonical)),
             Tissue::Cavity => Some(self.blood),
-            Tissue::Outside if canonical.z >= self.surfaces.epicardium.base_w_mm() => None,
+            Tissue::Outside if canonical.z >= self.borders.surfaces.epicardium.base_w_mm() => None,
             Tissue::Outside => self.right.and_then(|right| right.activity(canonical, self.blood)),
         }
     }
@@ -263,7 +273,7 @@ impl LeftVentricle {
         let angle = canonical.y.atan2(canonical.x);
         let septal = f64::midpoint(1.0, -angle.cos());
         let inferior = f64::midpoint(1.0, angle.sin());
-        let apical = (-(canonical.z - self.surfaces.epicardium.tip_w_mm()) / 15.0).exp();
+        let apical = (-(canonical.z - self.borders.surfaces.epicardium.tip_w_mm()) / 15.0).exp();
         let normal = 1.0 - self.nonuniformity * (0.5 * septal + 0.3 * inferior + 0.2 * apical);
         let in_defect = |territory: &Territory| match *territory {
             Territory::BelowHeight { w_mm } => canonical.z < w_mm,
@@ -274,8 +284,8 @@ impl LeftVentricle {
 
     /// A box `(low, high)` in local coordinates that holds both ventricles.
     fn bounds(&self) -> (DVec3, DVec3) {
-        let epicardium: &Solid = &self.surfaces.epicardium;
-        let radius = epicardium.widest_radius_mm();
+        let epicardium: &Solid = &self.borders.surfaces.epicardium;
+        let radius = self.borders.reach_mm();
         let reach = self.right.map_or(DVec2::ZERO, |right| right.reach_mm()).max(DVec2::splat(radius));
         let height = epicardium.tip_w_mm().abs().max(epicardium.base_w_mm().abs());
         let bound = self.warp.bound(reach.extend(height));

@@ -1,5 +1,6 @@
 //! Which phantoms can be made: every parameter in a range in which the formulas and the machine cope.
 
+use super::regional::Borders;
 use super::shape::{Cylinder, Surfaces, Ventricle};
 use super::{Deformation, Imaging, Phantom, PhantomError, Pose, Shape, Uptake};
 use std::fmt::Display;
@@ -11,6 +12,7 @@ const MOST_VOXELS: usize = 8_000_000;
 /// Refuses the first parameter that is out of range.
 pub(super) fn check(phantom: &Phantom) -> Result<(), PhantomError> {
     check_shape(&phantom.shape)?;
+    check_regional(phantom)?;
     check_pose(&phantom.pose, &phantom.deformation)?;
     check_uptake(&phantom.uptake)?;
     check_imaging(&phantom.imaging)
@@ -66,6 +68,35 @@ fn check_ventricle(ventricle: &Ventricle) -> Result<(), PhantomError> {
         if thinnest <= 0.0 {
             return Err(refuse("wall volume (ml)", ventricle.wall_ml, "large enough for a wall everywhere around this cavity"));
         }
+    }
+    Ok(())
+}
+
+fn check_regional(phantom: &Phantom) -> Result<(), PhantomError> {
+    if phantom.regional.is_empty() {
+        return Ok(());
+    }
+    if !matches!(phantom.shape, Shape::Ventricle(_)) {
+        return Err(refuse("regional function", phantom.regional.len(), "absent, for this shape does not beat"));
+    }
+    for part in &phantom.regional {
+        within("regional part's middle (degrees)", part.centre_degrees, -360.0..=360.0)?;
+        within("regional part's width (degrees)", part.width_degrees, 1.0..=360.0)?;
+        // An edge that met itself on the other side would be no edge.
+        let widest_edge = if part.width_degrees < 360.0 { part.width_degrees.min(360.0 - part.width_degrees) } else { 360.0 };
+        within("regional part's edge (degrees)", part.edge_degrees, 0.0..=widest_edge)?;
+        let [from, to] = part.heights;
+        within("regional part's lower end", from, 0.0..=1.0)?;
+        within("regional part's upper end", to, from..=1.0)?;
+        within("regional part's edge along the height", part.edge_height, 0.0..=1.0)?;
+        within("regional part's delay (R-R)", part.delay, -1.0..=1.0)?;
+        within("regional part's amplitude", part.amplitude, -1.0..=1.0)?;
+        within("regional part's thickness", part.thickness, 0.1..=3.0)?;
+    }
+    let phases = (0..16).map(|step| f64::from(step) / 16.0);
+    if phases.filter_map(|phase| Borders::at_phase(phantom, phase)).any(|borders| !borders.wall_is_whole()) {
+        let got = phantom.regional.iter().map(|part| part.thickness).fold(f64::INFINITY, f64::min);
+        return Err(refuse("regional part's thickness", got, "large enough for a wall everywhere around this cavity"));
     }
     Ok(())
 }
@@ -131,6 +162,7 @@ fn check_imaging(imaging: &Imaging) -> Result<(), PhantomError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::phantom::Regional;
 
     #[test]
     fn the_presets_are_in_range_and_what_is_not_is_named() {
@@ -144,6 +176,12 @@ mod tests {
         };
         assert_eq!(message(|phantom| phantom.imaging.gates = 0), "the phantom's gates is 0; it must be from 1 to 64");
         assert!(message(|phantom| phantom.imaging.psf.fwhm_mm = f64::NAN).contains("FWHM"));
+        assert!(message(|phantom| phantom.regional = vec![Regional::sector(0.0, 0.0)]).contains("width"));
+        let never = Regional { thickness: f64::NAN, ..Regional::sector(0.0, 60.0) };
+        assert!(check(&Phantom { regional: vec![never], ..Phantom::demo() }).unwrap_err().to_string().contains("thickness is NaN"));
+        assert!(
+            check(&Phantom { regional: vec![Regional::sector(0.0, 60.0)], ..Phantom::paper() }).unwrap_err().to_string().contains("beat")
+        );
         assert!(message(|phantom| phantom.imaging.psf.growth = 0.4).contains("growth"));
         assert!(message(|phantom| phantom.imaging.grid.shape = [512; 3]).contains("voxels"));
         assert!(

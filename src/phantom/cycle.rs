@@ -25,7 +25,7 @@ pub fn filling(phase: f64) -> f64 {
 /// The phases at which one gate is sampled: `samples` points, evenly spread over the gate; one sample is the gate's centre.
 ///
 /// `gate` counts from 0; the first gate starts at the R wave.
-pub fn gate_phases(gate: usize, gates: usize, samples: usize) -> impl Iterator<Item = f64> {
+pub fn gate_phases(gate: usize, gates: usize, samples: usize) -> impl ExactSizeIterator<Item = f64> + Clone {
     (0..samples).map(move |sample| (gate as f64 + (sample as f64 + 0.5) / samples as f64) / gates as f64)
 }
 

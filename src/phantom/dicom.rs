@@ -91,6 +91,8 @@ fn identity_elements(study: &Study, pixels: &[u16]) -> Vec<Element> {
         text(tags::SERIES_NUMBER, VR::IS, "1"),
         text(tags::INSTANCE_NUMBER, VR::IS, "1"),
     ];
+    elements.extend(facts.height_m.map(|height_m| decimals(tags::PATIENT_SIZE, &[height_m])));
+    elements.extend(facts.weight_kg.map(|weight_kg| decimals(tags::PATIENT_WEIGHT, &[weight_kg])));
     elements.extend([tags::STUDY_DATE, tags::SERIES_DATE, tags::ACQUISITION_DATE, tags::CONTENT_DATE].map(|tag| text(tag, VR::DA, DATE)));
     elements.extend([tags::STUDY_TIME, tags::SERIES_TIME, tags::ACQUISITION_TIME, tags::CONTENT_TIME].map(|tag| text(tag, VR::TM, TIME)));
     elements
@@ -160,14 +162,17 @@ fn frame_elements(study: &Study) -> Result<Vec<Element>, PhantomError> {
     let frame_time_ms = study.gates[0].duration_ms.ok_or(PhantomError::NoGateDuration)?;
     let rr_ms = study.acquisition.rr_interval_ms.unwrap_or(frame_time_ms * gates as f64);
     let whole = |tag: Tag, value: f64| text(tag, VR::IS, format!("{value:.0}"));
-    let data = vec![
-        decimals(tags::FRAME_TIME, &[frame_time_ms]),
-        whole(tags::NOMINAL_INTERVAL, rr_ms),
-        whole(tags::LOW_RR_VALUE, rr_ms * 0.8),
-        whole(tags::HIGH_RR_VALUE, rr_ms * 1.2),
-        whole(tags::INTERVALS_ACQUIRED, 1000.0),
-        whole(tags::INTERVALS_REJECTED, 0.0),
+    let facts = &study.acquisition;
+    let mut data = vec![decimals(tags::FRAME_TIME, &[frame_time_ms]), whole(tags::NOMINAL_INTERVAL, rr_ms)];
+    let [low_ms, high_ms] = facts.rr_window_ms.map_or([None, None], |window| window.map(Some));
+    let (accepted, rejected) = (facts.beats_accepted.map(|beats| beats as f64), facts.beats_rejected.map(|beats| beats as f64));
+    let told = [
+        (tags::LOW_RR_VALUE, low_ms),
+        (tags::HIGH_RR_VALUE, high_ms),
+        (tags::INTERVALS_ACQUIRED, accepted),
+        (tags::INTERVALS_REJECTED, rejected),
     ];
+    data.extend(told.into_iter().filter_map(|(tag, value)| Some(whole(tag, value?))));
     let gated = vec![
         decimals(tags::TRIGGER_TIME, &[0.0]),
         text(tags::CARDIAC_FRAMING_TYPE, VR::LO, "FORW"),
@@ -179,10 +184,10 @@ fn frame_elements(study: &Study) -> Result<Vec<Element>, PhantomError> {
         number(tags::NUMBER_OF_RR_INTERVALS, 1),
         numbers(tags::TIME_SLOT_VECTOR, (0..gates * slices).map(|frame| frame / slices + 1)),
         number(tags::NUMBER_OF_TIME_SLOTS, gates),
-        text(tags::BEAT_REJECTION_FLAG, VR::CS, "Y"),
         whole(tags::HEART_RATE, 60_000.0 / rr_ms),
         sequence(tags::GATED_INFORMATION_SEQUENCE, [gated]),
     ]);
+    elements.extend(facts.beat_rejection.map(|sorted| text(tags::BEAT_REJECTION_FLAG, VR::CS, if sorted { "Y" } else { "N" })));
     Ok(elements)
 }
 

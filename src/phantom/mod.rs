@@ -1,7 +1,7 @@
 //! Simulated gated studies whose volumes are known exactly.
 //!
-//! A [`Phantom`] is a shape with closed-form volumes ([`shape`], [`solid`]), placed and deformed without changing them ([`pose`]), given
-//! uptake and surroundings ([`anatomy`]) and seen by a camera ([`camera`], Poisson noise). [`simulate`] makes a [`Study`] and the
+//! A [`Phantom`] is a shape with closed-form volumes ([`shape`], [`solid`]), parts of whose wall may contract otherwise ([`Regional`]), placed and
+//! deformed without changing them ([`pose`]), given uptake and surroundings ([`anatomy`]) and seen by a camera ([`camera`], Poisson noise). [`simulate`] makes a [`Study`] and the
 //! [`Truth`] from it; [`dicom`] and [`nifti`] write studies as files. The same phantom gives the same study, bit by bit, with the same UIDs.
 //!
 //! Every gate is the curve of [`cycle`] sampled at the gate's centre (or averaged over several phases of the gate, see
@@ -21,6 +21,7 @@ pub mod nifti;
 mod noise;
 pub mod pose;
 mod presets;
+mod regional;
 pub mod shape;
 pub mod solid;
 mod truth;
@@ -30,6 +31,7 @@ pub use camera::{Psf, Tail};
 pub use decoy::Decoy;
 pub use exact::ExactSurfaces;
 pub use pose::{Deformation, Pose};
+pub use regional::Regional;
 pub use shape::{Cylinder, Shape, Ventricle};
 pub use truth::{GateTruth, Truth};
 
@@ -53,6 +55,9 @@ pub struct Phantom {
     pub uptake: Uptake,
     /// Grid, gates, blur and noise.
     pub imaging: Imaging,
+    /// Parts of a beating ventricle's wall with a function of their own. None (the default): all of it beats alike.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub regional: Vec<Regional>,
 }
 
 /// How the phantom is seen.
@@ -106,6 +111,11 @@ impl Default for Imaging {
     }
 }
 
+/// Beats of a simulated acquisition, of which none is rejected.
+const BEATS: u64 = 1000;
+/// Its acceptance window, as parts of the R-R interval.
+const WINDOW: [f64; 2] = [0.8, 1.2];
+
 /// A simulated study and what is true of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
@@ -158,6 +168,7 @@ pub fn simulate(phantom: &Phantom) -> Result<Simulation, PhantomError> {
         .map(|(gate, image)| Gate { volume: counts(image * scale, gate, phantom), duration_ms: Some(duration_ms) })
         .collect();
     let (study_uid, series_uid, instance_uid) = identity::uids_of(phantom);
+    let gated = imaging.gates > 1;
     let study = Study {
         grid: imaging.grid,
         gates,
@@ -168,6 +179,10 @@ pub fn simulate(phantom: &Phantom) -> Result<Simulation, PhantomError> {
             sop_instance_uids: vec![instance_uid],
             rr_interval_ms: Some(imaging.rr_interval_ms),
             heart_rate_bpm: Some((60_000.0 / imaging.rr_interval_ms).round()),
+            beats_accepted: gated.then_some(BEATS),
+            beats_rejected: gated.then_some(0),
+            rr_window_ms: gated.then(|| WINDOW.map(|part| (part * imaging.rr_interval_ms).round())),
+            beat_rejection: gated.then_some(true),
             ..Acquisition::unknown(Format::Phantom)
         },
         warnings: Vec::new(),

@@ -5,7 +5,14 @@ use super::{Cylinder, Deformation, Imaging, Phantom, Pose, Psf, Shape, Uptake, V
 impl Phantom {
     /// A shape with the default uptake and imaging, upright in the middle of the grid.
     pub fn of(shape: Shape) -> Self {
-        Self { shape, pose: Pose::default(), deformation: Deformation::default(), uptake: Uptake::default(), imaging: Imaging::default() }
+        Self {
+            shape,
+            pose: Pose::default(),
+            deformation: Deformation::default(),
+            uptake: Uptake::default(),
+            imaging: Imaging::default(),
+            regional: Vec::new(),
+        }
     }
 
     /// The paper's PHANTOM: cylinders with caps, static, one gate, an 8 mm PSF, without noise, background or blood.

@@ -1,6 +1,7 @@
 //! What is true of a simulated study, from closed forms.
 
 use super::anatomy::Scene;
+use super::regional::Borders;
 use super::{Phantom, Shape, cycle};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,7 @@ pub struct Truth {
     pub end_systolic_gate: usize,
     /// Ejection fraction of the continuous cycle that the gates sample, in percent.
     pub continuous_ef_percent: f64,
-    /// Share of the wall's volume with a defect, an upper bound where defects overlap.
+    /// Share of the wall's volume with a defect, an upper bound where defects overlap; of the wall without [`super::Regional`] parts.
     pub defect_fraction: f64,
     /// Whether the whole ventricle lies within the grid at the end-diastolic gate; a grid that cuts it leaves the volumes as they are.
     pub within_grid: bool,
@@ -63,7 +64,7 @@ pub(super) fn of(phantom: &Phantom) -> Truth {
     }
     let (edv_ml, esv_ml) = (volume(&largest), volume(&smallest));
     let continuous_ef_percent = match phantom.shape {
-        Shape::Ventricle(ventricle) => ejection_fraction_percent(ventricle.edv_ml, ventricle.esv_ml),
+        Shape::Ventricle(_) => phantom.continuous_ends_ml().map_or(0.0, |(edv_ml, esv_ml)| ejection_fraction_percent(edv_ml, esv_ml)),
         Shape::Cylinder(_) | Shape::Decoy(_) | Shape::Empty => 0.0,
     };
     Truth {
@@ -85,9 +86,10 @@ fn gate_truth(phantom: &Phantom, gate: usize) -> GateTruth {
     let imaging = &phantom.imaging;
     let samples = imaging.motion_samples;
     let (mut endocardial_ml, mut epicardial_ml) = (0.0, 0.0);
-    for surfaces in cycle::gate_phases(gate, imaging.gates, samples).filter_map(|phase| phantom.shape.surfaces(phase)) {
-        endocardial_ml += surfaces.endocardium.volume_mm3() / 1000.0 / samples as f64;
-        epicardial_ml += surfaces.epicardium.volume_mm3() / 1000.0 / samples as f64;
+    for borders in cycle::gate_phases(gate, imaging.gates, samples).filter_map(|phase| Borders::at_phase(phantom, phase)) {
+        let (cavity_ml, whole_ml) = borders.volumes_ml();
+        endocardial_ml += cavity_ml / samples as f64;
+        epicardial_ml += whole_ml / samples as f64;
     }
     let centre = (gate as f64 + 0.5) / imaging.gates as f64;
     let landmarks = Scene::at_phase(phantom, centre).landmarks_mm();

@@ -25,6 +25,40 @@ pub struct Parameters {
     /// The model of the camera (clinical preset).
     #[serde(default)]
     pub refine: RefineParameters,
+    /// What is derived from the result.
+    #[serde(default)]
+    pub analysis: AnalysisParameters,
+    /// What is known of the patient's body.
+    #[serde(default)]
+    pub metadata: Metadata,
+}
+
+/// How the wall is told: which side is anterior, and what counts as a defect.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnalysisParameters {
+    /// A direction in the grid, `[x, y, z]` of any length, from the long axis to the anterior wall; by the patient's axes where absent.
+    pub anterior: Option<[f64; 3]>,
+    /// Below this part of the maximum, in percent, a piece of the wall is a perfusion defect.
+    pub perfusion_threshold_percent: f64,
+}
+
+impl Default for AnalysisParameters {
+    /// Sixty percent of the maximum: the threshold by which defects of sestamibi images were sized without a normal database (Gibbons et al.,
+    /// Circulation 1989;80:1277).
+    fn default() -> Self {
+        Self { anterior: None, perfusion_threshold_percent: 60.0 }
+    }
+}
+
+/// The patient's size, which volumes can be set against.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Metadata {
+    /// Height in m.
+    pub height_m: Option<f64>,
+    /// Weight in kg.
+    pub weight_kg: Option<f64>,
 }
 
 /// A named set of defaults.
@@ -271,6 +305,8 @@ impl Parameters {
             region: RegionMarks::default(),
             pose: PoseMarks::default(),
             refine: RefineParameters::default(),
+            analysis: AnalysisParameters::default(),
+            metadata: Metadata::default(),
             // §7.1: "1.8 for the Gaussian, 0.3 for the low threshold and 0.8 for the high threshold".
             // The paper leaves the ends open; its meshes then fall in at the base (`docs/numerics.md`).
             edges: EdgeParameters {

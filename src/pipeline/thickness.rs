@@ -80,7 +80,8 @@ impl Thickness {
     }
 }
 
-fn lid(mesh: &Mesh, base: DVec3) -> Vec<bool> {
+/// Whether each vertex of a surface belongs to its lid; `base` is the direction from apex to base.
+pub fn lid(mesh: &Mesh, base: DVec3) -> Vec<bool> {
     let facing: Vec<bool> = mesh.normals().into_iter().map(|normal| normal.dot(base) > FACING_COSINE).collect();
     let heights = mesh.positions.iter().map(|position| position.dot(base));
     let mut of_facing: Vec<f64> = heights.clone().zip(&facing).filter_map(|(height, &facing)| facing.then_some(height)).collect();

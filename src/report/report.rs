@@ -4,14 +4,19 @@
 //! byte for byte; [`TimingReport`] is the only part that differs between two runs. UIDs appear, nothing that names the patient does.
 
 use super::{
+    body::BodySummary,
+    cycle::CycleSummary,
     fits::SurfaceFits,
     model::{GateModel, ModelSummary},
     pose::PoseSummary,
     quality::{Evidence, QUALITY_LIMITS, Quality, assess},
+    regional::RegionalSummary,
     uncertainty::UncertaintySummary,
     wall::WallSummary,
+    wall_function::{PerfusionSummary, PhaseSummary, ShapeSummary},
 };
 use crate::{
+    analysis::{Analysis, RotationSource},
     pipeline::{GateReconstruction, Reconstruction, Region, Surface, clinical::GateFit, parameters::Parameters},
     study::{Affected, AffectedArc, Format, Study, Warning},
 };
@@ -22,6 +27,9 @@ use utoipa::ToSchema;
 
 /// The value of `schema` in every report of this shape.
 pub const SCHEMA: &str = "ventricle.report/1";
+
+/// Code of the warning that segments were named by an assumption.
+pub(super) const ROTATION_UNKNOWN: &str = "rotation_unknown";
 
 pub use crate::pipeline::measure::MYOCARDIAL_DENSITY_G_PER_ML;
 
@@ -44,6 +52,30 @@ pub struct Report {
     pub gates: Vec<GateReport>,
     /// The wall between the surfaces.
     pub myocardium: Myocardium,
+    /// The patient's size, and volumes and mass for each m² of body surface; null in reports of versions before 0.2.
+    #[serde(default)]
+    #[schema(required)]
+    pub body: Option<BodySummary>,
+    /// The time-volume curve; null for fewer than four gates.
+    #[serde(default)]
+    #[schema(required)]
+    pub cycle: Option<CycleSummary>,
+    /// The wall by segments; null in reports of versions before 0.2.
+    #[serde(default)]
+    #[schema(required)]
+    pub regional: Option<RegionalSummary>,
+    /// Perfusion of the wall; null likewise.
+    #[serde(default)]
+    #[schema(required)]
+    pub perfusion: Option<PerfusionSummary>,
+    /// When the wall contracts; null for fewer than four gates.
+    #[serde(default)]
+    #[schema(required)]
+    pub phase: Option<PhaseSummary>,
+    /// Length and width of the cavity.
+    #[serde(default)]
+    #[schema(required)]
+    pub shape: Option<ShapeSummary>,
     /// Where the slices cut the ventricle; null where they do not cut it across (long-axis or transaxial slices).
     #[schema(required)]
     pub region: Option<RegionSummary>,
@@ -108,6 +140,22 @@ pub struct StudySummary {
     /// Heart rate in beats a minute, if known.
     #[schema(required)]
     pub heart_rate_bpm: Option<f64>,
+    /// Beats that the images are made of, if the header tells (DICOM Intervals Acquired).
+    #[serde(default)]
+    #[schema(required)]
+    pub beats_accepted: Option<u64>,
+    /// Beats that were left out for their length, if the header tells (DICOM Intervals Rejected).
+    #[serde(default)]
+    #[schema(required)]
+    pub beats_rejected: Option<u64>,
+    /// Shortest and longest R-R interval of an accepted beat in ms, if the header tells (DICOM Low and High R-R Value).
+    #[serde(default)]
+    #[schema(required, min_items = 2, max_items = 2)]
+    pub rr_window_ms: Option<[f64; 2]>,
+    /// Whether beats were sorted by their length, if the header tells (DICOM Beat Rejection Flag).
+    #[serde(default)]
+    #[schema(required)]
+    pub beat_rejection: Option<bool>,
 }
 
 /// The lattice of a study.
@@ -255,7 +303,7 @@ pub struct Timing {
 }
 
 /// The report of a reconstruction; `id` is the reconstruction's.
-pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &Timing) -> Report {
+pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, analysis: &Analysis, timing: &Timing) -> Report {
     let model = reconstruction.model.as_ref();
     let gates: Vec<GateReport> = reconstruction
         .gates
@@ -282,11 +330,19 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &
         },
         &QUALITY_LIMITS,
     );
+    let regional = RegionalSummary::of(analysis);
+    let rotation = rotation_unknown(analysis);
     Report {
         schema: SCHEMA.to_owned(),
         id: id.to_owned(),
         software: Software { name: env!("CARGO_PKG_NAME").to_owned(), version: env!("CARGO_PKG_VERSION").to_owned() },
         study: study_summary(study),
+        body: Some(BodySummary::of(&reconstruction.parameters.metadata, &study.acquisition, function.as_ref(), &myocardium)),
+        cycle: analysis.cycle.as_ref().map(CycleSummary::from),
+        perfusion: Some(PerfusionSummary::of(&analysis.perfusion, &regional)),
+        phase: analysis.phase.as_ref().map(|phase| PhaseSummary::of(phase, analysis)),
+        shape: ShapeSummary::of(&analysis.shapes),
+        regional: Some(regional),
         function,
         myocardium,
         region: reconstruction.region.map(RegionSummary::from),
@@ -295,7 +351,7 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, timing: &
         uncertainty,
         quality,
         parameters: reconstruction.parameters.clone(),
-        warnings: study.warnings.iter().chain(&reconstruction.warnings).chain(&flagged).map(Remark::from).collect(),
+        warnings: study.warnings.iter().chain(&reconstruction.warnings).chain(&rotation).chain(&flagged).map(Remark::from).collect(),
         timing_ms: TimingReport { total: timing.total_ms, stages: timing.stages_ms.clone() },
         gates,
     }
@@ -314,7 +370,18 @@ fn study_summary(study: &Study) -> StudySummary {
         grid: GridSummary { shape: study.grid.shape, spacing_mm: study.grid.spacing_mm },
         rr_interval_ms: said.rr_interval_ms,
         heart_rate_bpm: said.heart_rate_bpm,
+        beats_accepted: said.beats_accepted,
+        beats_rejected: said.beats_rejected,
+        rr_window_ms: said.rr_window_ms,
+        beat_rejection: said.beat_rejection,
     }
+}
+
+/// That nothing told the wall's sides apart.
+fn rotation_unknown(analysis: &Analysis) -> Option<Warning> {
+    let sentence = "The study does not say how it lies in the patient: the first row was taken for anterior and the first column for septal, \
+                    and segments and territories may be others. Give the direction of the anterior wall as `analysis.anterior`.";
+    (analysis.places.rotation == RotationSource::Assumed).then(|| Warning::new(ROTATION_UNKNOWN, sentence))
 }
 
 fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3, model: Option<&GateFit>) -> GateReport {

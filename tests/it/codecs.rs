@@ -10,6 +10,7 @@ use dicom_core::VR;
 use dicom_dictionary_std::tags;
 use std::time::{Duration, Instant};
 use ventricle::{
+    analysis::analyse,
     intake::{self, IntakeError, Limits, Nature, Options, Part},
     pipeline::{self, monitor::Silent, parameters::Parameters},
     report::{self, Timing},
@@ -55,7 +56,8 @@ fn sum(study: &Study) -> f64 {
 fn report(study: &Study) -> serde_json::Value {
     let reconstruction = pipeline::reconstruct(study, &Parameters::clinical(), &Silent).unwrap();
 
-    let mut report = serde_json::to_value(report::build("same", study, &reconstruction, &Timing::default())).unwrap();
+    let mut report =
+        serde_json::to_value(report::build("same", study, &reconstruction, &analyse(study, &reconstruction), &Timing::default())).unwrap();
     report["study"] = serde_json::Value::Null;
     report
 }

@@ -69,7 +69,11 @@ fn finished(service: &Served, study_uid: &str, count: usize) -> Vec<Value> {
 /// What a report measured, without what names the job, its files and its time.
 fn measured(service: &Served, job: &Value) -> Value {
     assert_eq!(job["state"], "succeeded", "{job}");
-    let report = service.get(&format!("/v1/reconstructions/{}/report", job["id"].as_str().unwrap())).json();
+    let mut report = service.get(&format!("/v1/reconstructions/{}/report", job["id"].as_str().unwrap())).json();
+    for gate in report["gates"].as_array_mut().unwrap() {
+        // The lid has flat tetrahedra, whose sign is that of rounding.
+        gate["wall"]["inverted_before"].take();
+    }
     json!([report["function"], report["gates"], report["myocardium"]])
 }
 

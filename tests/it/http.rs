@@ -2,9 +2,11 @@
 
 pub(crate) mod archived;
 mod callbacks;
+mod comparison;
 mod following;
 mod harness;
 mod operating;
+mod pictures;
 mod presets;
 mod pressure;
 mod refusing;

@@ -28,18 +28,21 @@ enum External {
     AllBut(&'static [&'static str]),
 }
 
-const NUMERICS: &[&str] = &["volume", "mesh", "study", "subject", "phantom", "intake", "pipeline", "report", "export", "parameters"];
+const NUMERICS: &[&str] =
+    &["volume", "mesh", "study", "subject", "phantom", "intake", "pipeline", "analysis", "report", "export", "parameters"];
 
-/// `paper`, `accuracy` and `drawing` are not among them: nothing of the service needs them.
+/// `paper` and `accuracy` are not among them: nothing of the service needs them.
 const EVERYTHING: &[&str] = &[
     "volume",
     "mesh",
     "study",
     "subject",
     "phantom",
+    "drawing",
     "codecs",
     "intake",
     "pipeline",
+    "analysis",
     "report",
     "export",
     "archive",
@@ -111,12 +114,21 @@ const RULES: &[Rule] = &[
         crate_modules: &["volume", "mesh", "study"],
         external: External::Only(&["ndarray", "glam", "serde", "rayon", "tracing", "thiserror"]),
     },
-    Rule { module: "report", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&[]) },
-    Rule { module: "export", crate_modules: &["study", "pipeline", "mesh"], external: External::NoServiceNor(&["utoipa"]) },
+    Rule {
+        module: "analysis",
+        crate_modules: &["volume", "mesh", "study", "pipeline"],
+        external: External::Only(&["glam", "serde", "rayon"]),
+    },
+    Rule { module: "report", crate_modules: &["study", "pipeline", "mesh", "analysis"], external: External::NoServiceNor(&[]) },
+    Rule {
+        module: "export",
+        crate_modules: &["study", "pipeline", "mesh", "analysis", "drawing"],
+        external: External::NoServiceNor(&["utoipa"]),
+    },
     // Made from what is stored, so from neither study nor reconstruction.
     Rule {
         module: "archive",
-        crate_modules: &["subject", "elements", "pipeline", "report", "export"],
+        crate_modules: &["subject", "elements", "pipeline", "report", "export", "drawing"],
         external: External::NoServiceNor(&["glam", "ndarray", "rayon", "utoipa"]),
     },
     Rule { module: "parameters", crate_modules: &["pipeline"], external: External::NoServiceNor(&[]) },
@@ -124,13 +136,13 @@ const RULES: &[Rule] = &[
     // Tables 1 and 4 print seconds.
     Rule {
         module: "paper",
-        crate_modules: &["volume", "mesh", "study", "phantom", "pipeline", "report", "drawing"],
+        crate_modules: &["volume", "mesh", "study", "phantom", "pipeline", "analysis", "report", "drawing"],
         external: External::NoServiceButClock,
     },
     // How long a study takes is part of what is compared.
     Rule {
         module: "accuracy",
-        crate_modules: &["volume", "mesh", "study", "phantom", "pipeline", "report", "drawing"],
+        crate_modules: &["volume", "mesh", "study", "phantom", "pipeline", "analysis", "report", "drawing"],
         external: External::NoServiceButClock,
     },
     Rule {

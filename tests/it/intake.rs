@@ -3,6 +3,7 @@
 #![expect(clippy::float_cmp, reason = "spacings and counts must come through exactly")]
 
 mod formats;
+mod header;
 mod hostile;
 mod nuclear;
 mod real;

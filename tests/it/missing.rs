@@ -4,6 +4,7 @@
 
 use std::sync::OnceLock;
 use ventricle::{
+    analysis::analyse,
     phantom::{self, Defect, Phantom, Simulation, Site},
     pipeline::{
         Reconstruction, Surface,
@@ -135,7 +136,7 @@ fn an_anterior_gap_is_told_at_every_gate_with_its_place() {
             assert!(warning.message.contains("anterior"), "{warning:?}");
         }
     }
-    let report = report::build("gap", &simulation.study, found, &report::Timing::default());
+    let report = report::build("gap", &simulation.study, found, &analyse(&simulation.study, found), &report::Timing::default());
     let remark = report.warnings.iter().find(|remark| remark.code == "partial_border").unwrap();
     assert_eq!(remark.affected.as_ref().unwrap().arc.as_ref().unwrap().walls, ["anterior"]);
 }

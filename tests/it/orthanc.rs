@@ -234,14 +234,11 @@ fn a_report_comes_to_orthanc_by_stow_rs() {
     }
     let (data, files, ports) = (Directory::new("stowed"), Directory::new("stowed-files"), Ports::free());
     let destination = format!("http://127.0.0.1:{}/dicom-web/studies", ports.http);
-    let service = Served::start(&data.0, &["--keep-patient", "--callback-allow", "127.0.0.1", "--results-to", &destination]);
-    // No user name is sent, so nobody is asked for one; from other machines nothing is answered even so.
-    let open = |text: &str| {
-        let changed = text.replace("\"AuthenticationEnabled\" : true", "\"AuthenticationEnabled\" : false");
-        assert_ne!(changed, text);
-        changed
-    };
-    let orthanc = Orthanc::start_with(ports, &service.url, 1, &[], open);
+    // One line end more than the value: as an editor leaves it.
+    let authorization = write(&files.0, "authorization", format!("{}\n", ports.authorization()).as_bytes());
+    let flags = ["--keep-patient", "--callback-allow", "127.0.0.1", "--results-to", &destination];
+    let service = Served::start(&data.0, &[&flags[..], &["--results-authorization-file", authorization.to_str().unwrap()]].concat());
+    let orthanc = Orthanc::start(ports, &service.url, 1);
     let good = parted::whole(45);
     orthanc.receive(&all(&files, "study", std::slice::from_ref(&good)));
     let uid = parted::text_of(&good, tags::STUDY_INSTANCE_UID);
@@ -268,7 +265,7 @@ fn the_deployed_configuration_forwards_what_is_gated_by_itself_and_again_when_no
     let service = Served::start(&data.0, &flags);
     let listen = service.url.trim_start_matches("http://").to_owned();
     let hurried = [("ORTHANC_STABLE_AGE", "1"), ("FORWARD_PAUSE_SECONDS", "1")];
-    let mut orthanc = Orthanc::start_with(ports, &service.url, 1, &hurried, str::to_owned);
+    let mut orthanc = Orthanc::start_with(ports, &service.url, 1, &hurried);
     let good = parted::whole(46);
     let others = others_of(&good);
     orthanc.receive(&all(&files, "study", &[[good.clone()].as_slice(), &others[..2]].concat()));

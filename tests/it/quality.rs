@@ -1,6 +1,7 @@
 //! Each quality flag of the clinical preset, raised by a study that deserves it.
 
 use ventricle::{
+    analysis::analyse,
     phantom::{self, Defect, Liver, Phantom, Shape, Site},
     pipeline::{self, monitor::Silent, parameters::Parameters},
     report::{self, Timing},
@@ -22,7 +23,7 @@ fn study(change: impl FnOnce(&mut Phantom)) -> Study {
 
 fn flags(study: &Study, parameters: &Parameters) -> Vec<String> {
     let reconstruction = pipeline::reconstruct(study, parameters, &Silent).unwrap();
-    let report = report::build("some-id", study, &reconstruction, &Timing::default());
+    let report = report::build("some-id", study, &reconstruction, &analyse(study, &reconstruction), &Timing::default());
     for flag in &report.quality.flags {
         assert!(report.warnings.iter().any(|warning| warning.code == *flag && warning.message.len() > 40), "{flag} is not explained");
     }

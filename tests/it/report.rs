@@ -5,6 +5,7 @@ use glam::DVec3;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use ventricle::{
+    analysis::analyse,
     pipeline::{
         Reconstruction, Surface,
         clinical::{GateFit, ModelFit, PsfEstimate, PsfSource, Referee, Residual, Uncertainty},
@@ -21,8 +22,8 @@ fn timing() -> Timing {
 
 #[test]
 fn function_follows_from_the_largest_and_smallest_cavity() {
-    let (study, reconstruction) = beating(8, 3, None);
-    let report = report::build("some-id", &study, &reconstruction, &timing());
+    let (study, reconstruction) = beating(8, 3, Some(oblique(false)));
+    let report = report::build("some-id", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     let function = report.function.unwrap();
     let volume = |gate: usize| reconstruction.gates[gate - 1].volume_ml(Surface::Endocardial);
     assert_eq!((function.end_diastolic_gate, function.end_systolic_gate), (1, 5));
@@ -73,7 +74,7 @@ fn fitted(gates: usize, orientation: Option<Orientation>) -> (Study, Reconstruct
 #[test]
 fn a_fitted_study_has_its_pose_its_model_and_how_uncertain_it_is() {
     let (study, reconstruction) = fitted(8, Some(oblique(false)));
-    let report = report::build("x", &study, &reconstruction, &timing());
+    let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     assert!(report.quality.flags.is_empty() && report.warnings.is_empty(), "{:?}", report.warnings);
     let json = serde_json::to_value(&report).unwrap();
     for path in [
@@ -128,18 +129,51 @@ fn a_fitted_study_has_its_pose_its_model_and_how_uncertain_it_is() {
 #[test]
 fn one_fitted_gate_has_the_error_of_its_volume() {
     let (study, reconstruction) = fitted(1, None);
-    let report = report::build("x", &study, &reconstruction, &timing());
+    let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     let errors = report.uncertainty.unwrap();
     assert_eq!((errors.esv_ml, errors.ef_percent, report.pose.unwrap().patient), (None, None, None));
     assert!((errors.edv_ml.high_95 - report.gates[0].endocardial_ml - 1.96 * 3.0).abs() < 1e-9);
     assert!(report.quality.flags.is_empty());
 }
 
+/// Who says which wall is anterior is not told that it is unknown.
+#[test]
+fn an_assumed_rotation_is_told_and_a_given_one_is_not() {
+    let (study, mut reconstruction) = beating(8, 2, None);
+    let codes = |reconstruction: &Reconstruction| {
+        let report = report::build("x", &study, reconstruction, &analyse(&study, reconstruction), &timing());
+        assert!(report.quality.flags.is_empty());
+        report.warnings.into_iter().map(|warning| (warning.code, warning.message)).collect::<Vec<_>>()
+    };
+    let told = codes(&reconstruction);
+    assert_eq!(told.len(), 1);
+    assert!(told[0].0 == "rotation_unknown" && told[0].1.contains("`analysis.anterior`"), "{told:?}");
+    reconstruction.parameters.analysis.anterior = Some([0.0, -1.0, 0.0]);
+    assert_eq!(codes(&reconstruction), []);
+}
+
+/// Rates of few gates are told with a caution beside them; eight gates are usual and no warning.
+#[test]
+fn few_gates_are_a_caution_and_no_warning() {
+    for (gates, coarse) in [(4, true), (8, true), (15, true), (16, false), (24, false)] {
+        let (study, reconstruction) = beating(gates, 2, Some(oblique(false)));
+        let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
+        let cycle = report.cycle.unwrap();
+        assert_eq!((cycle.coarse, cycle.caution.is_some()), (coarse, coarse), "{gates}");
+        assert!(
+            cycle
+                .caution
+                .is_none_or(|caution| caution.starts_with(&format!("{gates} gates")) && caution.contains("coarse (docs/accuracy.md)"))
+        );
+        assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    }
+}
+
 /// As the version before wrote it: without `pose`, `model`, `uncertainty`, and `pose` and `refine` among the parameters.
 #[test]
 fn a_report_of_the_version_before_is_still_read() {
     let (study, reconstruction) = beating(8, 2, None);
-    let report = report::build("some-id", &study, &reconstruction, &timing());
+    let report = report::build("some-id", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     let mut before = serde_json::to_value(&report).unwrap();
     for later in ["pose", "model", "uncertainty"] {
         assert_eq!(before.as_object_mut().unwrap().remove(later), Some(Value::Null), "{later}");
@@ -156,7 +190,7 @@ fn a_report_of_the_version_before_is_still_read() {
 #[test]
 fn one_gate_has_no_function_and_says_null() {
     let (study, reconstruction) = beating(1, 2, None);
-    let json = serde_json::to_value(report::build("x", &study, &reconstruction, &timing())).unwrap();
+    let json = serde_json::to_value(report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing())).unwrap();
     assert_eq!(json["function"], Value::Null);
     assert!(json.as_object().unwrap().contains_key("function"));
     assert_eq!(json["myocardium"]["variation_percent"], Value::Null);
@@ -166,7 +200,7 @@ fn one_gate_has_no_function_and_says_null() {
 #[test]
 fn the_json_has_the_names_of_the_contract_and_reads_back() {
     let (study, reconstruction) = beating(8, 2, None);
-    let report = report::build("some-id", &study, &reconstruction, &timing());
+    let report = report::build("some-id", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     let json = serde_json::to_value(&report).unwrap();
     for path in [
         "/schema",
@@ -217,12 +251,13 @@ fn what_is_doubtful_is_flagged_and_told_in_a_sentence() {
     reconstruction.gates[2].fits.epicardial.evolution.as_mut().unwrap().within_one_voxel = 0.5;
     let swap = &mut reconstruction.gates[4].fits;
     std::mem::swap(&mut swap.endocardial.mesh, &mut swap.epicardial.mesh);
-    let report = report::build("x", &study, &reconstruction, &timing());
+    let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &timing());
     assert_eq!(report.quality.flags, ["not_converged", "surfaces_cross", "myocardial_volume_not_conserved"]);
     let told: Vec<(&str, Option<usize>)> = report.warnings.iter().map(|warning| (warning.code.as_str(), warning.gate)).collect();
     let expected = [
         ("input_odd", None),
         ("partial_border", Some(3)),
+        ("rotation_unknown", None),
         ("not_converged", Some(3)),
         ("surfaces_cross", Some(5)),
         ("myocardial_volume_not_conserved", None),
@@ -235,7 +270,7 @@ fn what_is_doubtful_is_flagged_and_told_in_a_sentence() {
 fn timing_is_the_only_part_that_may_differ_between_runs() {
     let (study, reconstruction) = beating(8, 2, None);
     let strip = |timing: &Timing| {
-        let mut report = report::build("x", &study, &reconstruction, timing);
+        let mut report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), timing);
         report.timing_ms = report::TimingReport::default();
         serde_json::to_string(&report).unwrap()
     };

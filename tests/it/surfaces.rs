@@ -5,7 +5,13 @@ use gltf::{Glb, Gltf, Semantic, accessor::Accessor, mesh::util::ReadIndices};
 use serde_json::Value;
 use std::{path::Path, process::Command};
 use ventricle::{
-    export::{ExportError, glb},
+    analysis::analyse,
+    drawing::scale::Scale,
+    export::{
+        ExportError, glb,
+        stored::{StoredCycle, StoredSurface},
+        variants,
+    },
     mesh::Mesh,
     pipeline::{
         Evolution, Fit, GateReconstruction, PerSurface, Reconstruction, Region, Surface, parameters::Parameters, rest::Stop,
@@ -62,6 +68,19 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
     (study, reconstruction)
 }
 
+/// The surfaces over the cycle, with the colours of their own analysis.
+fn cycle(study: &Study, reconstruction: &Reconstruction) -> Result<Vec<u8>, ExportError> {
+    let whole = beating(reconstruction.gates.len().max(1), 2, study.orientation);
+    // What cannot be drawn cannot be analysed either: then the analysis is another's.
+    let sound = reconstruction.gates.iter().all(|gate| {
+        let vertices = |surface| gate.fits.get(surface).mesh.positions.len();
+        vertices(Surface::Endocardial) == vertices(Surface::Epicardial)
+            && Surface::BOTH.iter().all(|&surface| gate.fits.get(surface).mesh.positions.iter().all(|position| position.is_finite()))
+    });
+    let analysis = if sound && !reconstruction.gates.is_empty() { analyse(study, reconstruction) } else { analyse(&whole.0, &whole.1) };
+    glb::cycle(study, reconstruction, &analysis)
+}
+
 /// An oblique short-axis frame of either handedness.
 pub(crate) fn oblique(mirrored: bool) -> Orientation {
     let columns = DVec3::new(0.6, 0.8, 0.0);
@@ -108,13 +127,30 @@ impl Opened {
                 *position += displacement * f64::from(weight);
             }
         }
-        let reader = primitive.reader(|_| Some(&self.binary));
-        let indices: Vec<u32> = match reader.read_indices().unwrap() {
+        // The wall and the lid of the valve plane.
+        let indices: Vec<u32> = mesh.primitives().flat_map(|primitive| self.indices(&primitive)).collect();
+        Mesh { positions, triangles: indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect() }
+    }
+
+    fn indices(&self, primitive: &gltf::Primitive<'_>) -> Vec<u32> {
+        match primitive.reader(|_| Some(&self.binary)).read_indices().unwrap() {
             ReadIndices::U16(indices) => indices.map(u32::from).collect(),
             ReadIndices::U32(indices) => indices.collect(),
             ReadIndices::U8(_) => panic!("8-bit indices"),
-        };
-        Mesh { positions, triangles: indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect() }
+        }
+    }
+
+    /// Red, green and blue of the texture of this name.
+    fn picture(&self, name: &str) -> Vec<u8> {
+        let image = self.document.images().find(|image| image.name() == Some(name)).unwrap();
+        let gltf::image::Source::View { view, mime_type: "image/png" } = image.source() else { panic!("{name} is no PNG within the file") };
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(&self.binary[view.offset()..view.offset() + view.length()]));
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut pixels).unwrap();
+        assert_eq!((info.width, info.height, info.color_type), (256, 256, png::ColorType::Rgb));
+        pixels
     }
 
     fn extras(&self) -> Value {
@@ -134,8 +170,8 @@ fn relative(a: f64, b: f64) -> f64 {
 fn every_morph_target_has_the_volume_of_its_gate_in_the_report() {
     for orientation in [None, Some(oblique(false)), Some(oblique(true))] {
         let (study, reconstruction) = beating(8, 3, orientation);
-        let report = report::build("x", &study, &reconstruction, &report::Timing::default());
-        let file = glb::cycle(&study, &reconstruction).unwrap();
+        let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &report::Timing::default());
+        let file = cycle(&study, &reconstruction).unwrap();
         let opened = Opened::new(&file);
         for gate in &report.gates {
             for (name, volume_ml) in [("endocardial", gate.endocardial_ml), ("epicardial", gate.epicardial_ml)] {
@@ -158,7 +194,7 @@ fn every_morph_target_has_the_volume_of_its_gate_in_the_report() {
 fn vertices_stand_where_the_patient_has_them() {
     let orientation = oblique(true);
     let (study, reconstruction) = beating(8, 2, Some(orientation));
-    let file = glb::cycle(&study, &reconstruction).unwrap();
+    let file = cycle(&study, &reconstruction).unwrap();
     let opened = Opened::new(&file);
     let (translation, ..) = opened.node("ventricle").transform().decomposed();
     let at = DVec3::from_array(translation.map(f64::from));
@@ -186,7 +222,7 @@ fn the_cycle_plays_the_gates_at_their_times_and_returns_to_the_first() {
     }
     for (rr_interval_ms, end_s) in [(Some(800.0), 0.8), (Some(1000.0), 1.0), (None, 0.8)] {
         study.acquisition.rr_interval_ms = rr_interval_ms;
-        let opened = Opened::new(&glb::cycle(&study, &reconstruction).unwrap());
+        let opened = Opened::new(&cycle(&study, &reconstruction).unwrap());
         let animations: Vec<_> = opened.document.animations().collect();
         assert_eq!(animations.len(), 1);
         let channels: Vec<_> = animations[0].channels().collect();
@@ -213,14 +249,14 @@ fn the_cycle_plays_the_gates_at_their_times_and_returns_to_the_first() {
     for gate in &mut study.gates {
         gate.duration_ms = None;
     }
-    let extras = Opened::new(&glb::cycle(&study, &reconstruction).unwrap()).extras();
+    let extras = Opened::new(&cycle(&study, &reconstruction).unwrap()).extras();
     assert_eq!((&extras["rr_interval_s"], &extras["rr_interval_source"]), (&1.0.into(), &"assumed".into()));
 }
 
 #[test]
 fn normals_are_unit_and_outward_at_every_gate() {
     let (study, reconstruction) = beating(4, 3, Some(oblique(true)));
-    let opened = Opened::new(&glb::cycle(&study, &reconstruction).unwrap());
+    let opened = Opened::new(&cycle(&study, &reconstruction).unwrap());
     for name in ["endocardial", "epicardial"] {
         let mesh = opened.node(name).mesh().unwrap();
         let primitive = mesh.primitives().next().unwrap();
@@ -240,7 +276,7 @@ fn normals_are_unit_and_outward_at_every_gate() {
 #[test]
 fn an_ungated_study_stands_still_and_one_surface_comes_alone() {
     let (study, reconstruction) = beating(1, 3, None);
-    let opened = Opened::new(&glb::cycle(&study, &reconstruction).unwrap());
+    let opened = Opened::new(&cycle(&study, &reconstruction).unwrap());
     assert_eq!(opened.document.animations().count(), 0);
     assert!(opened.document.meshes().all(|mesh| mesh.weights().is_none() && mesh.primitives().all(|p| p.morph_targets().count() == 0)));
     assert_eq!(opened.extras()["frame"], "grid");
@@ -258,20 +294,132 @@ fn an_ungated_study_stands_still_and_one_surface_comes_alone() {
 fn what_cannot_be_drawn_is_refused_by_gate_and_surface() {
     let (study, mut reconstruction) = beating(3, 2, None);
     reconstruction.gates[1].fits.epicardial.mesh = Mesh::icosphere(1);
-    let refused = glb::cycle(&study, &reconstruction);
+    let refused = cycle(&study, &reconstruction);
     assert!(matches!(refused, Err(ExportError::Topology { gate: 2, surface: Surface::Epicardial })), "{refused:?}");
     let (study, mut reconstruction) = beating(3, 2, None);
     reconstruction.gates[2].fits.endocardial.mesh.positions[7].y = f64::NAN;
-    let refused = glb::cycle(&study, &reconstruction);
+    let refused = cycle(&study, &reconstruction);
     assert!(matches!(refused, Err(ExportError::NotFinite { gate: 3, surface: Surface::Endocardial })), "{refused:?}");
     reconstruction.gates.clear();
-    assert!(matches!(glb::cycle(&study, &reconstruction), Err(ExportError::Empty)));
+    assert!(matches!(cycle(&study, &reconstruction), Err(ExportError::Empty)));
+}
+
+#[test]
+fn every_variant_colours_the_wall_with_its_map_and_leaves_the_lid() {
+    let (study, reconstruction) = beating(8, 3, Some(oblique(false)));
+    let analysis = analyse(&study, &reconstruction);
+    let bytes = glb::cycle(&study, &reconstruction, &analysis).unwrap();
+    let json: Value = serde_json::from_slice(&Glb::from_slice(&bytes).unwrap().json).unwrap();
+    assert_eq!(json["extensionsUsed"], serde_json::json!(["KHR_materials_variants"]));
+    assert!(json["extensionsRequired"].is_null(), "a viewer without the extension shows it plain");
+    let names: Vec<&str> =
+        json["extensions"]["KHR_materials_variants"]["variants"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
+    // The phantom has no counts, so no phase.
+    assert_eq!(names, ["plain", "perfusion", "end_diastolic_thickness", "end_systolic_thickness", "thickening", "motion"]);
+    let opened = Opened::new(&bytes);
+    let extras = opened.extras();
+    let legend = extras["variants"].as_array().unwrap();
+    assert_eq!(legend.len(), 5);
+    for name in ["endocardial", "epicardial"] {
+        let mesh = json["meshes"].as_array().unwrap().iter().find(|mesh| mesh["name"] == name).unwrap();
+        let primitives = mesh["primitives"].as_array().unwrap();
+        assert_eq!(primitives.len(), 2, "the wall and the lid");
+        for (primitive, textured) in primitives.iter().zip([true, false]) {
+            let material = |index: &Value| &json["materials"][usize::try_from(index.as_u64().unwrap()).unwrap()];
+            assert_eq!(material(&primitive["material"])["name"], name, "plain without a choice");
+            let mut mapped = Vec::new();
+            for mapping in primitive["extensions"]["KHR_materials_variants"]["mappings"].as_array().unwrap() {
+                let has_texture = !material(&mapping["material"])["pbrMetallicRoughness"]["baseColorTexture"].is_null();
+                for variant in mapping["variants"].as_array().unwrap() {
+                    assert_eq!(has_texture, textured && variant != 0);
+                    mapped.push(variant.as_u64().unwrap());
+                }
+            }
+            mapped.sort_unstable();
+            assert_eq!(mapped, [0, 1, 2, 3, 4, 5]);
+        }
+    }
+    // A vertex carries its value, and its texture has the value's colour where the vertex lies in it.
+    let mesh = opened.node("epicardial").mesh().unwrap();
+    let primitive = mesh.primitives().next().unwrap();
+    let places = opened.floats(&primitive.get(&Semantic::TexCoords(0)).unwrap());
+    let lid_only = opened.indices(&mesh.primitives().nth(1).unwrap());
+    let (mut compared, mut close) = (0, 0);
+    for (entry, values) in [
+        (&legend[1], &analysis.walls.thickness_mm[analysis.end_diastole]),
+        (&legend[3], &analysis.walls.thickening_percent),
+        (&legend[4], &analysis.walls.motion_mm),
+    ] {
+        let attribute = entry["attribute"].as_str().unwrap();
+        let carried = opened.floats(&primitive.get(&Semantic::Extras(attribute.trim_start_matches('_').to_owned())).unwrap());
+        let texture = opened.picture(entry["variant"].as_str().unwrap());
+        let range: Vec<f64> = entry["range"].as_array().unwrap().iter().map(|end| end.as_f64().unwrap()).collect();
+        let scale = Scale::named(entry["colour_scale"].as_str().unwrap()).unwrap();
+        for (vertex, value) in values.iter().enumerate() {
+            let [u, v] = [places[2 * vertex], places[2 * vertex + 1]];
+            let radius = (u - 0.5).hypot(v - 0.5) / 0.44;
+            let Some(value) = value else {
+                assert!(radius > 1.05 && (carried[vertex] - variants::NO_VALUE).abs() < f32::EPSILON, "the lid is outside of the disc");
+                continue;
+            };
+            assert!(radius < 1.001 && (f64::from(carried[vertex]) - value).abs() < 1e-4);
+            assert!(!lid_only.contains(&u32::try_from(vertex).unwrap()), "a vertex of the wall is a corner of the lid's triangles");
+            let at = |part: f32| ((f64::from(part) * 256.0) as usize).min(255);
+            let shown = &texture[3 * (at(v) * 256 + at(u))..][..3];
+            let colour = |value: f64| scale.colour((value - range[0]) / (range[1] - range[0])).map(|part| f64::from(part) * 255.0);
+            let apart =
+                |expected: [f64; 3]| shown.iter().zip(expected).map(|(&byte, part)| (f64::from(byte) - part).abs()).fold(0.0, f64::max);
+            // A cell of the map is a mean over its surroundings: off by a twentieth of the range at most, by an eighth where the value is steep.
+            // What is beyond the range has its end's colour.
+            let value = value.clamp(range[0], range[1]);
+            let nearest = |most: i32| {
+                let within = (-most..=most).map(|step| value + f64::from(step) / 200.0 * (range[1] - range[0]));
+                within.map(|value| apart(colour(value))).fold(f64::INFINITY, f64::min)
+            };
+            assert!(nearest(25) < 3.0, "{attribute} at {vertex}: {value} is shown as {shown:?}, {} off", nearest(25));
+            close += usize::from(nearest(10) < 3.0);
+            compared += 1;
+        }
+    }
+    assert!(compared > 1200 && 100 * close >= 97 * compared, "{close} of {compared}");
+}
+
+#[test]
+fn the_stored_file_is_read_back_as_it_was_written() {
+    for orientation in [None, Some(oblique(true))] {
+        let (study, reconstruction) = beating(8, 3, orientation);
+        let analysis = analyse(&study, &reconstruction);
+        let bytes = glb::cycle(&study, &reconstruction, &analysis).unwrap();
+        let stored = StoredCycle::open(&bytes).unwrap();
+        assert_eq!(stored.in_patient_frame(), orientation.is_some());
+        let walls = stored.walls().unwrap();
+        let [anterior, septal, base] = [walls.anterior, walls.septal, walls.base].map(DVec3::from_array);
+        assert!([anterior, septal, base].iter().all(|axis| (axis.length() - 1.0).abs() < 1e-6));
+        if orientation.is_some() {
+            assert!(anterior.cross(base).dot(septal) > 0.999, "as in a patient: {anterior} {septal} {base}");
+        }
+        for gate in [1, 5, 8] {
+            for surface in Surface::BOTH {
+                let StoredSurface { points, normals, triangles } = stored.surface(surface, gate).unwrap();
+                let mesh = Mesh { positions: points, triangles: triangles.into() };
+                let volume_ml = reconstruction.gates[gate - 1].volume_ml(surface);
+                assert!(mesh.is_closed() && relative(mesh.signed_volume_mm3() * 1e6, volume_ml) < 1e-4);
+                assert!(normals.iter().all(|normal| (normal.length() - 1.0).abs() < 1e-5));
+            }
+        }
+        assert!(matches!(stored.surface(Surface::Endocardial, 9), Err(ExportError::NotOurs { what: "gate" })));
+        assert!(stored.surface(Surface::Endocardial, 0).is_err());
+        let one = glb::surface(&study, &reconstruction, 0, Surface::Endocardial).unwrap();
+        assert!(StoredCycle::open(&one).unwrap().surface(Surface::Epicardial, 1).is_err());
+    }
+    assert!(StoredCycle::open(b"glTF").is_err());
 }
 
 #[test]
 fn eight_gates_of_642_vertices_stay_under_a_megabyte_and_a_half() {
     let (study, reconstruction) = beating(8, 3, Some(oblique(false)));
-    let bytes = glb::cycle(&study, &reconstruction).unwrap().len();
+    let bytes = cycle(&study, &reconstruction).unwrap().len();
+    println!("8 gates of 642 vertices: {bytes} bytes");
     assert!(bytes < 1_500_000, "{bytes}");
 }
 
@@ -293,7 +441,7 @@ fn the_khronos_validator_finds_neither_errors_nor_warnings() {
         ("one-gate", 1, 3, None),
     ] {
         let (study, reconstruction) = beating(gates, level, orientation);
-        keep(name, glb::cycle(&study, &reconstruction).unwrap());
+        keep(name, cycle(&study, &reconstruction).unwrap());
         keep(&format!("{name}-inner"), glb::surface(&study, &reconstruction, 0, Surface::Endocardial).unwrap());
     }
     let mut command = Command::new("node");
@@ -314,6 +462,7 @@ fn the_khronos_validator_finds_neither_errors_nor_warnings() {
     let lines: Vec<Value> = found.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), files.len());
     for line in lines {
-        assert_eq!((&line["errors"], &line["warnings"], &line["infos"]), (&0.into(), &0.into(), &0.into()), "{line}");
+        let found = ["errors", "warnings", "infos", "hints"].map(|kind| line[kind].as_u64().unwrap());
+        assert_eq!(found, [0; 4], "{line}");
     }
 }

@@ -10,6 +10,7 @@ use flate2::read::ZlibDecoder;
 use glam::DVec3;
 use std::{fs, io::Read as _, process::Command, time::Duration};
 use ventricle::{
+    analysis::analyse,
     export::{ExportError, vtu},
     mesh::{Mesh, wall::signed_volume_mm3},
     phantom::{self, Imaging, Phantom, Shape, Ventricle},
@@ -117,7 +118,7 @@ fn real_studies_have_walls_in_order_at_the_finest_level() {
 fn the_file_holds_the_wall_of_the_report_in_every_frame() {
     for orientation in [None, Some(oblique(false)), Some(oblique(true))] {
         let (study, reconstruction) = beating(3, 3, orientation);
-        let report = report::build("x", &study, &reconstruction, &Timing::default());
+        let report = report::build("x", &study, &reconstruction, &analyse(&study, &reconstruction), &Timing::default());
         for gate in 0..3 {
             let file = Opened::new(&vtu::wall(&study, &reconstruction, gate).unwrap());
             let expected = reconstruction.gates[gate].wall().unwrap();
@@ -177,7 +178,16 @@ fn thickness_is_that_of_the_wall_and_not_of_the_valve_plane() {
                 assert!(mm.is_finite());
             }
         }
-        let summary = report::build("x", &beating(1, 2, None).0, &reconstruction, &Timing::default()).gates.remove(0).wall;
+        let summary = report::build(
+            "x",
+            &beating(1, 2, None).0,
+            &reconstruction,
+            &analyse(&beating(1, 2, None).0, &reconstruction),
+            &Timing::default(),
+        )
+        .gates
+        .remove(0)
+        .wall;
         assert_eq!((summary.tetrahedra, summary.thickness_definition.as_str()), (15_360, "closest_point"));
         let told = summary.thickness_mm.unwrap();
         assert_eq!((told.mean, told.max, told.min), (range.mean_mm, range.max_mm, range.min_mm));

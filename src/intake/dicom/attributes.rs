@@ -11,19 +11,24 @@ use dicom_object::InMemDicomObject;
 use dicom_transfer_syntax_registry::entries;
 use sha2::{Digest as _, Sha256};
 
-/// The attributes that the intake reads from the outermost data set. None of them names the patient.
-const READ: [Tag; 46] = [
+/// The attributes that the intake reads from the outermost data set. None of them names the patient: of group 0010 they are size and weight.
+const READ: [Tag; 51] = [
     tags::IMAGE_TYPE,
     tags::SOP_CLASS_UID,
     tags::SOP_INSTANCE_UID,
     tags::MODALITY,
+    tags::PATIENT_SIZE,
+    tags::PATIENT_WEIGHT,
     tags::SLICE_THICKNESS,
     tags::SPACING_BETWEEN_SLICES,
     tags::TRIGGER_TIME,
     tags::NOMINAL_INTERVAL,
     tags::FRAME_TIME,
+    tags::BEAT_REJECTION_FLAG,
     tags::LOW_RR_VALUE,
     tags::HIGH_RR_VALUE,
+    tags::INTERVALS_ACQUIRED,
+    tags::INTERVALS_REJECTED,
     tags::HEART_RATE,
     tags::STUDY_INSTANCE_UID,
     tags::SERIES_INSTANCE_UID,

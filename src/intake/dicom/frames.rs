@@ -24,8 +24,8 @@ pub(super) struct Source {
 pub(super) struct Arrangement {
     /// Gates in time order, each with its slices in order. Neither is ever empty, and all gates have as many slices.
     pub(super) gates: Vec<Vec<Source>>,
-    /// Which R-R interval was taken, counted from 0.
-    pub(super) rr_interval: usize,
+    /// Which R-R interval was taken, counted from 0, of a file that has several.
+    pub(super) rr_interval: Option<usize>,
     /// Positions of the slices along their normal in mm, if each slice came in a file of its own.
     pub(super) stack: Option<Vec<f64>>,
 }
@@ -43,7 +43,7 @@ impl Arrangement {
             warnings
                 .push(Warning::new("one_time_slot", "The image is called gated but holds one time slot; there is no ejection fraction."));
         }
-        Ok(Self { gates, rr_interval: places.rr_index, stack: None })
+        Ok(Self { gates, rr_interval: places.rr_interval, stack: None })
     }
 }
 
@@ -91,7 +91,7 @@ pub(super) struct Places {
     pub(super) slots: Vec<i64>,
     pub(super) slices: Vec<i64>,
     chosen_rr: i64,
-    rr_index: usize,
+    rr_interval: Option<usize>,
 }
 
 impl Places {
@@ -139,8 +139,8 @@ impl Places {
                 (slots, slices)
             }
         };
-        let (chosen_rr, rr_index) = choose_rr(attributes, &rr, warnings);
-        Ok(Self { rr, slots, slices, chosen_rr, rr_index })
+        let (chosen_rr, rr_interval) = choose_rr(attributes, &rr, warnings);
+        Ok(Self { rr, slots, slices, chosen_rr, rr_interval })
     }
 }
 
@@ -199,30 +199,33 @@ fn standard_order(attributes: &Attributes, kind: Kind, frames: usize) -> Result<
     Ok((0..all).map(|frame| (frame / slices + 1, frame % slices + 1)).unzip())
 }
 
-/// Of several R-R intervals (arrhythmia windows), the one that accumulated most beats; the first if the file does not say.
-fn choose_rr(attributes: &Attributes, rr: &[i64], warnings: &mut Vec<Warning>) -> (i64, usize) {
+/// Of several R-R intervals (arrhythmia windows), the one that accumulated most beats; the first if the file does not say. With its index,
+/// counted from 0, if there are several.
+fn choose_rr(attributes: &Attributes, rr: &[i64], warnings: &mut Vec<Warning>) -> (i64, Option<usize>) {
     let distinct: Vec<i64> = rr.iter().copied().collect::<BTreeSet<i64>>().into_iter().collect();
+    // Counted from 1 (PS3.3 C.8.4.13); some count from 0. Frames may be left of the second of two intervals alone.
+    let lowest = distinct.first().copied().unwrap_or(1).min(1);
+    let index = |interval: i64| usize::try_from(interval.saturating_sub(lowest)).unwrap_or(usize::MAX);
     if distinct.len() <= 1 {
-        return (distinct.first().copied().unwrap_or(1), 0);
+        let interval = distinct.first().copied().unwrap_or(1);
+        return (interval, Some(index(interval)).filter(|&index| index > 0));
     }
-    let beats: Vec<f64> =
-        super::timing::data_information(attributes).iter().map(|item| item.positive(tags::INTERVALS_ACQUIRED).unwrap_or(0.0)).collect();
-    let mut index = 0;
-    for candidate in 1..distinct.len() {
-        let beats_of = |interval: usize| beats.get(interval).copied().unwrap_or(0.0);
-        if beats_of(candidate) > beats_of(index) {
-            index = candidate;
+    let beats = |interval: i64| {
+        let items = super::timing::of_interval(attributes, Some(index(interval)));
+        items.iter().filter_map(|item| item.positive(tags::INTERVALS_ACQUIRED)).sum::<f64>()
+    };
+    let mut chosen = (distinct[0], beats(distinct[0]));
+    for &candidate in &distinct[1..] {
+        let accepted = beats(candidate);
+        if accepted > chosen.1 {
+            chosen = (candidate, accepted);
         }
     }
     warnings.push(Warning::new(
         "several_rr_intervals",
-        format!(
-            "The file holds {} R-R intervals; interval {}, the one with most accepted beats, was taken.",
-            distinct.len(),
-            distinct[index]
-        ),
+        format!("The file holds {} R-R intervals; interval {}, the one with most accepted beats, was taken.", distinct.len(), chosen.0),
     ));
-    (distinct[index], index)
+    (chosen.0, Some(index(chosen.0)))
 }
 
 /// Compares a declared number with what the vectors hold: fewer would be a silently incomplete heart.

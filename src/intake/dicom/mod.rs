@@ -4,8 +4,10 @@
 //! which frame is which slice of which gate ([`frames`]), where they lie ([`geometry`]), and how several files make one study ([`series`]).
 
 mod attributes;
+mod body;
 mod encapsulated;
 mod frames;
+mod gating;
 mod geometry;
 mod identity;
 mod instance;
@@ -27,6 +29,7 @@ use crate::study::{Acquisition, Format, Study, Warning};
 use crate::subject::Subject;
 use crate::volume::Grid;
 use frames::Arrangement;
+use gating::Gating;
 use ndarray::{Array3, Axis};
 use object::Object;
 
@@ -86,6 +89,8 @@ fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut
         volumes.push(volume);
     }
     let timing = timing::read(first, arrangement.rr_interval, gates, &mut warnings);
+    let gating = if gates > 1 { gating::read(&first.attributes, arrangement.rr_interval, &mut warnings) } else { Gating::default() };
+    let body = body::read(&first.attributes, &mut warnings);
     let gates = counts::gates(grid, volumes, &timing.durations_ms, &mut warnings)?;
     let acquisition = Acquisition {
         format: Format::Dicom,
@@ -96,6 +101,12 @@ fn build(objects: &[Object<'_>], arrangement: &Arrangement, limits: &Limits, mut
         frame_of_reference_uid: first.attributes.uid(dicom_dictionary_std::tags::FRAME_OF_REFERENCE_UID),
         rr_interval_ms: timing.rr_interval_ms,
         heart_rate_bpm: timing.heart_rate_bpm,
+        beats_accepted: gating.beats_accepted,
+        beats_rejected: gating.beats_rejected,
+        rr_window_ms: gating.rr_window_ms,
+        beat_rejection: gating.beat_rejection,
+        height_m: body.height_m,
+        weight_kg: body.weight_kg,
     };
     Ok(Study { grid, gates, orientation: geometry.orientation, acquisition, warnings })
 }

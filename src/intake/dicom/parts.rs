@@ -73,7 +73,7 @@ pub(super) fn holds(object: &Object<'_>, digest: &mut Sha256, limits: &Limits) -
 fn is_one_of_several(object: &Object<'_>) -> bool {
     let attributes = &object.attributes;
     [tags::TRIGGER_TIME, tags::TEMPORAL_POSITION_IDENTIFIER, tags::TIME_SLOT_VECTOR].into_iter().any(|tag| attributes.has(tag))
-        || !data_information(attributes).is_empty()
+        || data_information(attributes).iter().any(|items| !items.is_empty())
 }
 
 /// A number of parts that makes sense.

@@ -88,7 +88,7 @@ fn gate_a_file(objects: &[Object<'_>], warnings: &mut Vec<Warning>) -> Result<Ar
         }
         placed.extend(places.slices.iter().enumerate().map(|(frame, slice)| (order[index], *slice, Source { object: index, frame })));
     }
-    Ok(Arrangement { gates: rectangle(placed.into_iter())?, rr_interval: 0, stack: None })
+    Ok(Arrangement { gates: rectangle(placed.into_iter())?, rr_interval: None, stack: None })
 }
 
 /// Each file is one slice of one gate; slices are ordered by their position.
@@ -107,7 +107,7 @@ fn slice_a_file(objects: &[Object<'_>]) -> Result<Arrangement, IntakeError> {
         }
         other => other,
     })?;
-    Ok(Arrangement { gates, rr_interval: 0, stack: Some(slices.iter().map(|micrometres| *micrometres as f64 / 1000.0).collect()) })
+    Ok(Arrangement { gates, rr_interval: None, stack: Some(slices.iter().map(|micrometres| *micrometres as f64 / 1000.0).collect()) })
 }
 
 /// Positions of single slices along their normal: Image Position, else Slice Location.

@@ -1,5 +1,5 @@
 //! Whom DICOM files are of, where the operator wants that kept. Values are taken from the scanned bytes as they stand: nothing of group 0010
-//! reaches a parser.
+//! reaches a parser but size and weight.
 
 use super::object::Object;
 use crate::intake::IntakeError;

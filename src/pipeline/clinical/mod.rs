@@ -33,6 +33,7 @@ use rayon::prelude::*;
 use rays::Rays;
 use serde::{Deserialize, Serialize};
 use shape::Space;
+use surfaces::Layout;
 
 /// What the model of the camera says of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -147,10 +148,11 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
     let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine::refine(study, &space, &rays, &parameters.refine, monitor))?;
     let steps = model.steps;
     let gates = observed(monitor, Stage::Wall, None, || {
+        let layout = Layout::of(&shapes, &space, parameters.mesh.level);
         Ok(shapes
             .par_iter()
             .map(|shape| {
-                let mut meshes = surfaces::meshes(shape, &space, parameters.mesh.level);
+                let mut meshes = surfaces::meshes(shape, &space, &layout);
                 let wall_order = wall::order(&mut meshes.endocardial, &mut meshes.epicardial);
                 let fit = |mesh| Fit { mesh, steps, evolution: None };
                 GateReconstruction {

@@ -19,22 +19,41 @@ const RIM_PART: f64 = 0.42;
 /// Rounds of matching the mesh's volume to the shape's; each gains two digits.
 const ROUNDS: usize = 3;
 
-/// The surface of a shape as an icosphere of some level, closed by a flat lid in the valve plane. Triangles cut corners off a round
-/// surface; vertices are moved outwards, by about a tenth of a mm, until the mesh encloses the shape's own volume.
-pub(super) fn meshes(shape: &Shape, space: &Space, level: u32) -> PerSurface<Mesh> {
-    let sphere = Mesh::icosphere(level);
-    let edge = (4.0 * PI / sphere.positions.len() as f64).sqrt();
+/// How the vertices of a sphere are laid on a ventricle: the same for both surfaces and all gates, so that a vertex is the same piece of the
+/// wall everywhere.
+pub(super) struct Layout {
+    sphere: Mesh,
+    places: Vec<Vertex>,
+}
+
+impl Layout {
+    /// For an icosphere of some level. Wall and lid get their shares of it by their lengths, the mean over surfaces and gates.
+    pub(super) fn of(shapes: &[Shape], space: &Space, level: u32) -> Self {
+        let sphere = Mesh::icosphere(level);
+        let edge = (4.0 * PI / sphere.positions.len() as f64).sqrt();
+        let (mut wall_mm, mut lid_mm) = (0.0, 0.0);
+        for shape in shapes {
+            for surface in Surface::BOTH {
+                wall_mm += wall_length_mm(shape, space, surface);
+                lid_mm += rim_mm(shape, space, surface);
+            }
+        }
+        let rim = PI * wall_mm / (wall_mm + lid_mm);
+        let places = sphere.positions.iter().map(|&direction| Vertex::at(direction, rim, RIM_PART * edge)).collect();
+        Self { sphere, places }
+    }
+}
+
+/// The surfaces of a shape, closed by a flat lid in the valve plane. Triangles cut corners off a round surface; vertices are moved outwards, by
+/// about a tenth of a mm, until the mesh encloses the shape's own volume.
+pub(super) fn meshes(shape: &Shape, space: &Space, layout: &Layout) -> PerSurface<Mesh> {
     let volumes = Volumes::of(shape, space);
     PerSurface::of(|surface| {
-        let wall_mm = wall_length_mm(shape, space, surface);
-        let lid_mm = rim_mm(shape, space, surface);
-        let rim = PI * wall_mm / (wall_mm + lid_mm);
-        let places: Vec<Vertex> = sphere.positions.iter().map(|&direction| Vertex::at(direction, rim, RIM_PART * edge)).collect();
         let wanted = *volumes.ml.get(surface);
         let mut scale = 1.0;
-        let mut mesh = sphere.map(|position| position);
+        let mut mesh = layout.sphere.map(|position| position);
         for _ in 0..ROUNDS {
-            mesh.positions = places.iter().map(|vertex| vertex.place(shape, space, surface, scale)).collect();
+            mesh.positions = layout.places.iter().map(|vertex| vertex.place(shape, space, surface, scale)).collect();
             // In two of three directions the volume grows with the scale.
             scale *= (wanted / mesh.volume_ml().max(f64::MIN_POSITIVE)).clamp(0.8, 1.25).powf(0.45);
         }

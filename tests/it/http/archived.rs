@@ -19,23 +19,23 @@ use ventricle::{
 };
 
 /// A service that reconstructs, and keeps whom studies are of if so wished.
-async fn reconstructing(keep_patient: bool) -> Service {
+pub(super) async fn reconstructing(keep_patient: bool) -> Service {
     with(StoreSettings::default(), Some(WorkerSettings::default().work), |state| state.with_patients_kept(keep_patient)).await
 }
 
 /// The demo's ventricle at four gates.
-fn beating() -> Phantom {
+pub(super) fn beating() -> Phantom {
     let mut phantom = Phantom::demo();
     phantom.imaging.gates = 4;
     phantom
 }
 
-fn dicom(phantom: &Phantom) -> Vec<u8> {
+pub(super) fn dicom(phantom: &Phantom) -> Vec<u8> {
     phantom::dicom::write(&phantom::simulate(phantom).unwrap().study).unwrap()
 }
 
 /// Reconstructs a file and returns the path of its job.
-async fn reconstructed(service: &Service, file: Vec<u8>) -> String {
+pub(super) async fn reconstructed(service: &Service, file: Vec<u8>) -> String {
     let accepted = service.post("", &[], file).await;
     assert_eq!(accepted.status, 202, "{}", accepted.json());
     let path = accepted.header("location").to_owned();
@@ -50,7 +50,7 @@ async fn reconstructed(service: &Service, file: Vec<u8>) -> String {
 }
 
 /// A result that is there.
-async fn result(service: &Service, path: &str, media_type: &str) -> Answer {
+pub(super) async fn result(service: &Service, path: &str, media_type: &str) -> Answer {
     let answer = service.get(path).await;
     assert_eq!(answer.status, 200, "{path}: {}", String::from_utf8_lossy(&answer.bytes));
     assert_eq!(answer.header("content-type"), media_type);
@@ -184,7 +184,7 @@ fn with_attributes(file: &[u8], attributes: &[(Attribute, &[u8])]) -> Vec<u8> {
     bytes
 }
 
-fn contains(haystack: &[u8], needle: &[u8]) -> bool {
+pub(super) fn contains(haystack: &[u8], needle: &[u8]) -> bool {
     haystack.windows(needle.len()).any(|window| window == needle)
 }
 

@@ -31,7 +31,7 @@ fn pixels(order: &[(usize, usize)], big_endian: bool) -> Vec<u8> {
 }
 
 /// Frames in the standard order: slices vary fastest.
-fn standard() -> Vec<(usize, usize)> {
+pub(super) fn standard() -> Vec<(usize, usize)> {
     (0..GATES).flat_map(|gate| (0..SLICES).map(move |slice| (gate, slice))).collect()
 }
 
@@ -79,7 +79,12 @@ pub(super) fn standard_file() -> Vec<u8> {
 
 /// The object with elements replaced or added.
 pub(super) fn with(changes: Vec<Element>) -> Vec<u8> {
-    let mut elements = gated(&standard(), Syntax::Explicit);
+    gated_with(&standard(), changes)
+}
+
+/// Frames in an order of one's choice, with elements replaced or added.
+pub(super) fn gated_with(order: &[(usize, usize)], changes: Vec<Element>) -> Vec<u8> {
+    let mut elements = gated(order, Syntax::Explicit);
     for change in changes {
         elements.retain(|element| element.tag != change.tag);
         elements.push(change);

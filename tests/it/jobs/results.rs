@@ -38,7 +38,7 @@ fn succeeded() -> Outcome {
 /// Sends this document of every job.
 fn sending(document: Result<Vec<u8>, String>) -> DeliverySettings {
     let document: Document = Arc::new(move |_, _| Box::pin(std::future::ready(document.clone())));
-    let results = Some(Results { document, calling: Title::parse("VENTRICLE").unwrap() });
+    let results = Some(Results { document, calling: Title::parse("VENTRICLE").unwrap(), authorization: None });
     DeliverySettings { callbacks: None, results, ..settings(&["127.0.0.1"], &Identity::new()) }
 }
 

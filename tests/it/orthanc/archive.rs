@@ -32,16 +32,22 @@ pub(super) fn is_installed() -> bool {
     crate::dimse::has_dcmtk()
 }
 
-/// The ports of an Orthanc that is not started yet.
-#[derive(Clone, Copy)]
+/// Where an Orthanc that is not started yet will be, and the password of its user.
+#[derive(Clone)]
 pub(super) struct Ports {
     pub(super) http: u16,
     pub(super) dicom: u16,
+    password: String,
 }
 
 impl Ports {
     pub(super) fn free() -> Self {
-        Self { http: free_port(), dicom: free_port() }
+        Self { http: free_port(), dicom: free_port(), password: uuid::Uuid::now_v7().to_string() }
+    }
+
+    /// The header by which the REST interface knows its user.
+    pub(super) fn authorization(&self) -> String {
+        format!("Basic {}", STANDARD.encode(format!("tester:{}", self.password)))
     }
 }
 
@@ -60,27 +66,20 @@ pub(super) struct Orthanc {
 impl Orthanc {
     /// Starts it as its documentation says, which forwards nothing before a series has been stable for a minute.
     pub(super) fn start(ports: Ports, ventricle: &str, scp_port: u16) -> Self {
-        Self::start_with(ports, ventricle, scp_port, &[], str::to_owned)
+        Self::start_with(ports, ventricle, scp_port, &[])
     }
 
-    /// With more variables of the configuration set, and its text changed.
-    pub(super) fn start_with(
-        ports: Ports,
-        ventricle: &str,
-        scp_port: u16,
-        variables: &[(&'static str, &str)],
-        change: impl FnOnce(&str) -> String,
-    ) -> Self {
+    /// With more variables of the configuration set.
+    pub(super) fn start_with(ports: Ports, ventricle: &str, scp_port: u16, variables: &[(&'static str, &str)]) -> Self {
         let folder = Directory::new("orthanc");
         let deployed = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/orthanc");
         let configuration = folder.0.join("configuration");
         let storage = folder.0.join("storage");
         std::fs::create_dir(&configuration).unwrap();
         std::fs::create_dir(&storage).unwrap();
-        let text = change(&std::fs::read_to_string(deployed.join("orthanc.json")).unwrap());
-        std::fs::write(configuration.join("orthanc.json"), text).unwrap();
-        let password = uuid::Uuid::now_v7().to_string();
-        std::fs::write(configuration.join("credentials.json"), json!({ "RegisteredUsers": { "tester": password } }).to_string()).unwrap();
+        std::fs::copy(deployed.join("orthanc.json"), configuration.join("orthanc.json")).unwrap();
+        std::fs::write(configuration.join("credentials.json"), json!({ "RegisteredUsers": { "tester": ports.password } }).to_string())
+            .unwrap();
         let mut settings: Vec<(&'static str, String)> = vec![
             ("ORTHANC_STORAGE", storage.display().to_string()),
             ("ORTHANC_HTTP_PORT", ports.http.to_string()),
@@ -91,7 +90,7 @@ impl Orthanc {
         ];
         settings.extend(variables.iter().map(|(name, value)| (*name, (*value).to_owned())));
         let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(SOON));
-        let authorization = format!("Basic {}", STANDARD.encode(format!("tester:{password}")));
+        let authorization = ports.authorization();
         let child = spawn(&folder, &settings);
         let mut orthanc = Self { child, folder, settings, ports, agent: config.build().new_agent(), authorization };
         orthanc.wait();
