@@ -25,20 +25,8 @@ pub struct Cycle {
     pub harmonics: Vec<(f64, f64)>,
     /// Root mean square of what the series leaves of the gates' volumes, in ml.
     pub residual_ml: f64,
-    /// The largest volume of the series in ml.
-    pub largest_ml: f64,
-    /// Peak emptying rate as a part of the largest fitted volume a cycle; positive.
-    pub peak_emptying: f64,
-    /// Peak filling rate after end systole likewise.
-    pub peak_filling: f64,
-    /// Mean filling rate over the first third of diastole likewise.
-    pub mean_filling_first_third: f64,
-    /// From end systole to the peak filling rate, as a part of the R-R interval.
-    pub time_to_peak_filling: f64,
-    /// End systole (least volume of the series) as a part of the R-R interval.
-    pub end_systole: f64,
-    /// From the R wave to the peak emptying rate, as a part of the R-R interval.
-    pub time_to_peak_emptying: f64,
+    /// Rates of the series.
+    pub rates: Rates,
 }
 
 impl Cycle {
@@ -70,7 +58,6 @@ impl Cycle {
         let coefficients = least_squares(&gate_phase, gate_ml, count);
         let volume = |t: f64| series(&coefficients, t);
         let rate = |t: f64| slope(&coefficients, t);
-        let rates = Rates::of(&volume, &rate);
         let residual = gate_phase.iter().zip(gate_ml).map(|(&t, ml)| (volume(t) - ml).powi(2)).sum::<f64>() / gates as f64;
         Self {
             rr_interval_ms,
@@ -81,13 +68,7 @@ impl Cycle {
                 .map(|pair| (pair[0].hypot(pair[1]), pair[1].atan2(pair[0]).to_degrees().rem_euclid(360.0)))
                 .collect(),
             residual_ml: residual.sqrt(),
-            largest_ml: rates.largest_ml,
-            peak_emptying: rates.peak_emptying,
-            peak_filling: rates.peak_filling,
-            mean_filling_first_third: rates.mean_filling_first_third,
-            time_to_peak_filling: rates.time_to_peak_filling,
-            end_systole: rates.end_systole,
-            time_to_peak_emptying: rates.time_to_peak_emptying,
+            rates: Rates::of(&volume, &rate),
             gate_phase,
         }
     }
@@ -233,10 +214,10 @@ mod tests {
         let cycle = Cycle::through(&ml, None, None);
         // Steepest a quarter after either end: 2π · 40 of 140 ml a cycle.
         let steepest = TAU * 40.0 / 140.0;
-        assert!((cycle.peak_emptying - steepest).abs() < 1e-4 && (cycle.peak_filling - steepest).abs() < 1e-4, "{cycle:?}");
-        assert!((cycle.end_systole - 0.5).abs() < 2e-3 && (cycle.time_to_peak_filling - 0.25).abs() < 2e-3);
+        assert!((cycle.rates.peak_emptying - steepest).abs() < 1e-4 && (cycle.rates.peak_filling - steepest).abs() < 1e-4, "{cycle:?}");
+        assert!((cycle.rates.end_systole - 0.5).abs() < 2e-3 && (cycle.rates.time_to_peak_filling - 0.25).abs() < 2e-3);
         // A third of half a cycle: 40 · (1 − cos 60°) in a sixth of the cycle.
-        assert!((cycle.mean_filling_first_third - 20.0 * 6.0 / 140.0).abs() < 5e-3, "{cycle:?}");
+        assert!((cycle.rates.mean_filling_first_third - 20.0 * 6.0 / 140.0).abs() < 5e-3, "{cycle:?}");
     }
 
     #[test]

@@ -71,8 +71,8 @@ pub fn analyse(study: &Study, reconstruction: &Reconstruction) -> Analysis {
     Analysis { places, end_diastole, end_systole, walls, perfusion, phase, cycle, shapes }
 }
 
-/// Gates of the largest and the smallest value, each the first of equals.
-fn ends(values: &[f64]) -> (usize, usize) {
+/// Indices of the largest and the smallest value, each the first of equals; 0 without any.
+pub fn ends(values: &[f64]) -> (usize, usize) {
     let first = |better: fn(f64, f64) -> bool| {
         values.iter().enumerate().fold(0, |best, (index, &value)| if better(value, values[best]) { index } else { best })
     };

@@ -1,7 +1,10 @@
 //! Thickness, thickening and motion of the wall at every vertex.
 
 use super::places::Places;
-use crate::pipeline::{Reconstruction, Surface, thickness::Thickness};
+use crate::pipeline::{
+    Reconstruction, Surface,
+    thickness::{Thickness, ThicknessRange},
+};
 
 /// What the wall does over the cycle, each value a vertex; `None` in the lid.
 #[derive(Debug, Clone, PartialEq)]
@@ -9,6 +12,8 @@ pub struct Walls {
     /// Thickness in mm, `[gates][vertices]`: the mean of the distances from the vertex on either surface to the closest point of the other
     /// surface's wall ([`crate::pipeline::thickness`]).
     pub thickness_mm: Vec<Vec<Option<f64>>>,
+    /// Range of the thickness at each gate over the vertices of both surfaces; `None` where all are in a lid.
+    pub thickness_range: Vec<Option<ThicknessRange>>,
     /// Thickness at end systole over that at end diastole, less 1, in percent. Empty for one gate.
     pub thickening_percent: Vec<Option<f64>>,
     /// How far the endocardial vertex moves inwards from end diastole to end systole, in mm: its way along the mean of the surface's inward
@@ -20,17 +25,17 @@ impl Walls {
     /// Of a reconstruction with these ends of the cycle, gates counted from 0.
     pub(super) fn of(reconstruction: &Reconstruction, places: &Places, end_diastole: usize, end_systole: usize) -> Self {
         let in_wall = |vertex: usize| places.of_vertex[vertex].is_some();
-        let thickness_mm: Vec<Vec<Option<f64>>> = reconstruction
-            .gates
+        let thickness: Vec<Thickness> = reconstruction.gates.iter().map(|gate| Thickness::of(gate, reconstruction.to_base)).collect();
+        let thickness_range = thickness.iter().map(Thickness::range).collect();
+        let thickness_mm: Vec<Vec<Option<f64>>> = thickness
             .iter()
-            .map(|gate| {
-                let Thickness { mm, .. } = Thickness::of(gate, reconstruction.to_base);
+            .map(|Thickness { mm, .. }| {
                 let both = mm.endocardial.iter().zip(&mm.epicardial).map(|(&inner, &outer)| f64::midpoint(inner, outer));
                 both.enumerate().map(|(vertex, mm)| (in_wall(vertex) && mm.is_finite()).then_some(mm)).collect()
             })
             .collect();
         if reconstruction.gates.len() < 2 {
-            return Self { thickness_mm, thickening_percent: Vec::new(), motion_mm: Vec::new() };
+            return Self { thickness_mm, thickness_range, thickening_percent: Vec::new(), motion_mm: Vec::new() };
         }
         let thickening_percent = thickness_mm[end_diastole]
             .iter()
@@ -51,6 +56,6 @@ impl Walls {
                 in_wall(vertex).then(|| (*from - *to).dot(outward))
             })
             .collect();
-        Self { thickness_mm, thickening_percent, motion_mm }
+        Self { thickness_mm, thickness_range, thickening_percent, motion_mm }
     }
 }

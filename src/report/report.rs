@@ -16,11 +16,10 @@ use super::{
     wall_function::{PerfusionSummary, PhaseSummary, ShapeSummary},
 };
 use crate::{
-    analysis::{Analysis, RotationSource},
-    pipeline::{GateReconstruction, Reconstruction, Region, Surface, clinical::GateFit, parameters::Parameters},
+    analysis::{self, Analysis, RotationSource},
+    pipeline::{GateReconstruction, Reconstruction, Region, Surface, clinical::GateFit, parameters::Parameters, thickness::ThicknessRange},
     study::{Affected, AffectedArc, Format, Study, Warning},
 };
-use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -309,7 +308,10 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, analysis:
         .gates
         .iter()
         .enumerate()
-        .map(|(gate, result)| gate_report(gate + 1, result, reconstruction.to_base, model.and_then(|model| model.gates.get(gate))))
+        .map(|(gate, result)| {
+            let range = analysis.walls.thickness_range[gate].as_ref();
+            gate_report(gate + 1, result, range, model.and_then(|model| model.gates.get(gate)))
+        })
         .collect();
     let myocardium = myocardium(&gates);
     let cavity_ml: Vec<f64> = gates.iter().map(|gate| gate.endocardial_ml).collect();
@@ -384,13 +386,13 @@ fn rotation_unknown(analysis: &Analysis) -> Option<Warning> {
     (analysis.places.rotation == RotationSource::Assumed).then(|| Warning::new(ROTATION_UNKNOWN, sentence))
 }
 
-fn gate_report(number: usize, gate: &GateReconstruction, to_base: DVec3, model: Option<&GateFit>) -> GateReport {
+fn gate_report(number: usize, gate: &GateReconstruction, thickness: Option<&ThicknessRange>, model: Option<&GateFit>) -> GateReport {
     GateReport {
         gate: number,
         endocardial_ml: gate.volume_ml(Surface::Endocardial),
         epicardial_ml: gate.volume_ml(Surface::Epicardial),
         myocardial_ml: gate.myocardial_ml(),
-        wall: WallSummary::of(gate, to_base),
+        wall: WallSummary::of(gate, thickness),
         fit: SurfaceFits { endocardial: (&gate.fits.endocardial).into(), epicardial: (&gate.fits.epicardial).into() },
         model: model.map(GateModel::from),
     }
@@ -403,15 +405,7 @@ impl Function {
         if cavity_ml.len() < 2 {
             return None;
         }
-        let (mut diastole, mut systole) = (0, 0);
-        for (gate, &volume_ml) in cavity_ml.iter().enumerate() {
-            if volume_ml > cavity_ml[diastole] {
-                diastole = gate;
-            }
-            if volume_ml < cavity_ml[systole] {
-                systole = gate;
-            }
-        }
+        let (diastole, systole) = analysis::ends(cavity_ml);
         let (edv_ml, esv_ml) = (cavity_ml[diastole], cavity_ml[systole]);
         (edv_ml > 0.0).then(|| Self {
             edv_ml,

@@ -5,10 +5,9 @@ use crate::{
     mesh::wall::Wall,
     pipeline::{
         GateReconstruction,
-        thickness::{self, Thickness},
+        thickness::{self, ThicknessRange},
     },
 };
-use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -36,10 +35,9 @@ pub struct WallSummary {
 }
 
 impl WallSummary {
-    /// Of a gate; `to_base` is the direction from apex to base.
-    pub(super) fn of(gate: &GateReconstruction, to_base: DVec3) -> Self {
+    /// Of a gate whose thickness has this range.
+    pub(super) fn of(gate: &GateReconstruction, range: Option<&ThicknessRange>) -> Self {
         let wall = gate.wall();
-        let range = Thickness::of(gate, to_base).range();
         Self {
             tetrahedra: wall.as_ref().map_or(0, |wall| wall.tetrahedra.len()),
             inverted: wall.as_ref().map_or(0, Wall::inverted),

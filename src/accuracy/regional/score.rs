@@ -114,10 +114,7 @@ fn values(analysis: &Analysis, cavities_ml: &[f64]) -> Values {
             .as_ref()
             .map(|phase: &Phase| [phase.mean_degrees, phase.sd_degrees, phase.bandwidth_degrees, phase.entropy_percent]),
         shape: analysis.shapes.iter().flat_map(|shape| [shape.long_axis_mm, shape.short_axis_mm, shape.sphericity_index]).collect(),
-        rates: analysis
-            .cycle
-            .as_ref()
-            .map(|cycle| [cycle.peak_emptying, cycle.peak_filling, cycle.mean_filling_first_third, 100.0 * cycle.time_to_peak_filling]),
+        rates: analysis.cycle.as_ref().map(|cycle| four(&cycle.rates)),
         defect_percent: analysis.perfusion.extent_percent,
         defect_segments: Vec::new(),
         cavity_ml: cavities_ml.iter().sum::<f64>() / cavities_ml.len() as f64,
