@@ -64,3 +64,4 @@ accuracy: build ## measures both presets on phantoms and labelled studies into d
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --ablation --write docs/accuracy.md --plots docs/accuracy \
 		$(if $(wildcard $(LABELLED)/labels.json),--real $(LABELLED))
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --regional --write docs/accuracy.md
+	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --spoiled --write docs/accuracy.md

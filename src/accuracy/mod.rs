@@ -17,6 +17,7 @@ pub mod published;
 pub mod real;
 pub mod regional;
 pub mod score;
+pub mod spoiled;
 pub mod statistics;
 pub mod tables;
 

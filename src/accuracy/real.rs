@@ -6,8 +6,10 @@ use super::{
     statistics::{Agreement, correlation, gates_apart, mean, standard_deviation},
 };
 use crate::{
+    analysis,
     drawing::markdown::{Table, signed},
     pipeline::{self, Reconstruction, monitor::Silent},
+    report::{self, Timing},
     study::Study,
 };
 
@@ -46,8 +48,8 @@ pub struct RealRun {
     pub found: Result<Values, &'static str>,
     /// Full width at half maximum of the estimated point-spread function in mm.
     pub psf_fwhm_mm: Option<f64>,
-    /// Codes of the warnings, each once.
-    pub warnings: Vec<String>,
+    /// Quality flags of its report.
+    pub flags: Vec<String>,
 }
 
 impl RealRun {
@@ -81,9 +83,10 @@ pub fn run(
                 each(labelled, found);
             }
             let reconstruction = found.as_ref().ok();
-            let mut warnings: Vec<String> = reconstruction.iter().flat_map(|found| &found.warnings).map(|one| one.code.clone()).collect();
-            warnings.sort_unstable();
-            warnings.dedup();
+            let flags = reconstruction.map_or_else(Vec::new, |found| {
+                let analysis = analysis::analyse(&labelled.study, found);
+                report::build(&labelled.name, &labelled.study, found, &analysis, &Timing::default()).quality.flags
+            });
             labelled.values().map(|label| RealRun {
                 name: labelled.name.clone(),
                 method,
@@ -91,7 +94,7 @@ pub fn run(
                 label,
                 psf_fwhm_mm: reconstruction.and_then(|found| found.model.as_ref()).map(|model| model.psf.fwhm_mm),
                 found: found.as_ref().map_err(pipeline::PipelineError::code).and_then(|found| Values::of(found).ok_or("no_volumes")),
-                warnings,
+                flags,
             })
         };
         methods.iter().filter_map(of).collect::<Vec<_>>()
@@ -112,7 +115,7 @@ pub fn studies(runs: &[RealRun], method: Method) -> String {
         "label",
         "wall spread (%)",
         "FWHM (mm)",
-        "warnings",
+        "flags",
     ]);
     for run in runs.iter().filter(|run| run.method == method) {
         let label = &run.label;
@@ -131,7 +134,7 @@ pub fn studies(runs: &[RealRun], method: Method) -> String {
                 gates(label),
                 format!("{:.1}", found.wall_spread_percent),
                 run.psf_fwhm_mm.map_or_else(|| "—".to_owned(), |mm| format!("{mm:.1}")),
-                run.warnings.join(" "),
+                run.flags.join(", ").replace('_', " "),
             ]),
         }
     }
@@ -249,7 +252,7 @@ mod tests {
             label: values(label),
             found: ef.map(values).ok_or("no_border"),
             psf_fwhm_mm: None,
-            warnings: Vec::new(),
+            flags: Vec::new(),
         }
     }
 

@@ -15,6 +15,7 @@ pub mod polar;
 mod quantity;
 pub mod segments;
 pub mod shape;
+mod signs;
 mod walls;
 
 pub use cycle::Cycle;
@@ -24,6 +25,7 @@ pub use places::{Place, Places, RotationSource};
 pub use quantity::Quantity;
 pub use segments::Segment;
 pub use shape::Shape;
+pub use signs::{GatingSigns, Signs};
 pub use walls::Walls;
 
 use crate::{
@@ -51,6 +53,8 @@ pub struct Analysis {
     pub cycle: Option<Cycle>,
     /// The cavity's shape at end diastole and, for a cycle, at end systole.
     pub shapes: Vec<Shape>,
+    /// What speaks against the study or its reconstruction.
+    pub signs: Signs,
 }
 
 /// Derives it.
@@ -68,7 +72,8 @@ pub fn analyse(study: &Study, reconstruction: &Reconstruction) -> Analysis {
     if reconstruction.gates.len() > 1 {
         shapes.push(Shape::of(reconstruction, &places, end_systole));
     }
-    Analysis { places, end_diastole, end_systole, walls, perfusion, phase, cycle, shapes }
+    let signs = Signs::of(study, reconstruction, &places, &perfusion, &cavity_ml, (end_diastole, end_systole));
+    Analysis { places, end_diastole, end_systole, walls, perfusion, phase, cycle, shapes, signs }
 }
 
 /// Indices of the largest and the smallest value, each the first of equals; 0 without any.

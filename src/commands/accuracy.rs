@@ -16,7 +16,7 @@ use ventricle::{
         family::{self, Group, Member},
         line, pictures, published, real, regional,
         score::{Method, Run},
-        tables,
+        spoiled, tables,
     },
     drawing::markdown,
     intake::{self, Limits, Options, Part},
@@ -24,6 +24,7 @@ use ventricle::{
 };
 
 /// Arguments of `ventricle accuracy`.
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag that a person types")]
 #[derive(clap::Args)]
 pub(crate) struct Args {
     /// The methods to run: paper, gradient, clinical, psf-given [default: all].
@@ -45,6 +46,14 @@ pub(crate) struct Args {
     /// Runs the hearts whose parts beat, thicken or take up differently, and no other phantoms.
     #[arg(long, conflicts_with_all = ["methods", "ablation", "plots"])]
     regional: bool,
+
+    /// Runs studies that are spoiled in a known way, and good ones beside them, to see which flags they carry, and no other phantoms.
+    #[arg(long, conflicts_with_all = ["methods", "ablation", "plots", "regional"])]
+    spoiled: bool,
+
+    /// With `--spoiled`: runs the half of the studies that the flags' limits were set by instead of the published one.
+    #[arg(long, requires = "spoiled", conflicts_with = "write")]
+    setting: bool,
 
     /// A folder of labelled studies: `labels.json` and NIfTI files.
     #[arg(long, value_name = "DIR")]
@@ -102,6 +111,9 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     if args.regional {
         parts_of_hearts(&args, &output, threads)?;
     }
+    if args.spoiled {
+        spoiled_studies(&args, &output, threads)?;
+    }
     let members = members(&args)?;
     if !members.is_empty() {
         phantoms(&args, &output, &members, &methods, threads)?;
@@ -113,7 +125,7 @@ pub(crate) fn run(args: Args) -> anyhow::Result<()> {
 }
 
 fn members(args: &Args) -> anyhow::Result<Vec<Member>> {
-    if args.every == 0 || args.regional {
+    if args.every == 0 || args.regional || args.spoiled {
         return Ok(Vec::new());
     }
     let chosen =
@@ -177,6 +189,24 @@ fn parts_of_hearts(args: &Args, output: &Output<'_>, threads: usize) -> anyhow::
     output.put("regional shapes", &regional::tables::shapes(&runs))?;
     output.put("regional defects", &regional::tables::defects(&runs))?;
     output.put("regional pairs", &regional::tables::pairs(&runs))
+}
+
+fn spoiled_studies(args: &Args, output: &Output<'_>, threads: usize) -> anyhow::Result<()> {
+    let each = |run: &spoiled::score::Run| {
+        if args.verbose {
+            let _ = writeln!(std::io::stdout().lock(), "{}", spoiled::tables::line(run));
+        }
+    };
+    let half = if args.setting { spoiled::family::Half::Setting } else { spoiled::family::Half::Published };
+    let chosen = spoiled::family::studies(half)
+        .into_iter()
+        .filter(|study| args.family.as_ref().is_none_or(|name| study.kind.name().contains(name.as_str())));
+    let studies: Vec<_> = chosen.step_by(args.every.max(1)).collect();
+    let runs = spoiled::run(&studies, threads, each)?;
+    output.put("spoiled kinds", &spoiled::tables::definitions())?;
+    output.put("spoiled criteria", &criteria::markdown(&spoiled::tables::judged(&runs)))?;
+    output.put("spoiled flags by kind", &spoiled::tables::kinds(&runs))?;
+    output.put("spoiled flags", &spoiled::tables::by_flag(&runs))
 }
 
 fn real_studies(args: &Args, output: &Output<'_>, studies: &[real::Labelled], methods: &[Method], threads: usize) -> anyhow::Result<()> {

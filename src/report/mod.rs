@@ -24,7 +24,7 @@ pub use fits::{DistanceTrace, Extremes, FitSummary, GvfSummary, ParticleDistance
 pub use model::{GateModel, ModelSummary, PsfSummary, RefereeSummary, ResidualSummary};
 pub use polar::{PolarMap, PolarMaps, Quantity};
 pub use pose::{PatientPose, PoseConfidenceSummary, PoseSummary};
-pub use quality::{QUALITY_LIMITS, Quality, QualityLimits};
+pub use quality::{Check, QUALITY_LIMITS, Quality, QualityLimits, Range};
 pub use regional::{RegionalSummary, RegionalValues, Rotation, SegmentReport, TerritoryReport};
 pub use report::{
     AffectedRegion, AffectedSector, Function, GateReport, GridSummary, MYOCARDIAL_DENSITY_G_PER_ML, Myocardium, RegionSummary, Remark,

@@ -1,67 +1,36 @@
-//! What the computation can tell of its own result: a score, flags, and a sentence for each flag.
+//! What the computation can tell of its own result: what it was judged by, a score, flags, and a sentence for each flag.
+
+mod fit;
+mod heart;
+mod limits;
+
+pub use limits::{QUALITY_LIMITS, QualityLimits, Range};
 
 use super::{
     model::ModelSummary,
     pose::PoseSummary,
     report::{Function, GateReport, Myocardium},
 };
-use crate::{
-    pipeline::{Surface, pose, rest::Stop},
-    study::Warning,
-};
+use crate::{analysis::Analysis, study::Warning};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-
-/// Beyond which a result carries a flag.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct QualityLimits {
-    /// Fraction of a surface's particles that must end within one voxel of the border, 0-1.
-    pub within_one_voxel: f64,
-    /// Coefficient of variation of the wall's volume over the cycle, in percent.
-    pub wall_variation_percent: f64,
-    /// Root mean square of what the model and noise leave of the counts, as part of the wall's activity.
-    pub unexplained_residual: f64,
-    /// Part of the wall that may rest on its surroundings, in percent.
-    pub extrapolated_percent: f64,
-    /// Part of the wall that may take up little without being told of, in percent. What is beyond is a warning, not a flag.
-    pub low_uptake_percent: f64,
-    /// Score that a pose must have, 0-1.
-    pub pose_score: f64,
-    /// How far an ejection fraction by other means may be from the reported one, in points.
-    pub ef_disagreement_points: f64,
-}
-
-/// The limits in use.
-///
-/// - The paper's free model ends with 97 % of the particles within one voxel (its Table 1); 95 % leaves room for noise.
-/// - Myocardium is nearly incompressible, so a wall whose volume varies by more than 5 % over the cycle was measured wrongly in some gate.
-/// - A flat wall of 10 mm under a point-spread function of 11 mm, put 3 mm beside its place, leaves .15 of its activity within 15 mm of its
-///   middle (.14 to .21 for 14 to 8 mm): further off than that, or of another shape, the model is not this wall's.
-/// - Over 40 % extrapolated the shape is more the prior's than the patient's, as a defect of half the wall with its rims is.
-/// - Over 6 % of low uptake is where the model's handling of defects begins to matter (`docs/numerics.md`).
-/// - Poses are graded by [`crate::pipeline::pose`].
-/// - Two studies of one patient differ by 6 to 7 points of ejection fraction when they are read semi-automatically (`docs/accuracy.md`); a
-///   disagreement of methods beyond 10 points is more than that.
-pub const QUALITY_LIMITS: QualityLimits = QualityLimits {
-    within_one_voxel: 0.95,
-    wall_variation_percent: 5.0,
-    unexplained_residual: 0.15,
-    extrapolated_percent: 40.0,
-    low_uptake_percent: 6.0,
-    pose_score: pose::POSE_UNCERTAIN,
-    ef_disagreement_points: 10.0,
-};
 
 /// What the computation can tell of its own result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Quality {
-    /// 0-1. With the preset `clinical` the product of three factors, each 1 where nothing speaks against the result, ½ at the limit of its flag and
-    /// falling in a straight line between and beyond, to 0 at the least: the model's unexplained residual (0, limit .15), the extrapolated part of the
-    /// wall (0, limit 40 %), the pose's score (1, limit of `pose_uncertain`). With the preset `paper` the mean, over gates and surfaces, of the
-    /// fraction of particles within one voxel of the detected border: 1 says that every surface reached its border, not that the border is
-    /// the heart's. Neither is a probability: judge by the flags, the uncertainty and by eye.
+    /// 0-1: that of the worst of `checks`. ½ and less exactly where a flag is raised. Not a probability: judge by the flags, the uncertainty and by
+    /// eye.
     pub score: f64,
-    /// Stable codes; each has a sentence of the same code in `warnings`.
+    /// Stable codes; each has a sentence of the same code in `warnings`. How often they are right is published (`docs/accuracy.md`).
+    ///
+    /// Of the study: `gating` (beats lost in a gate, end diastole far from the R wave, gates not in order), `low_counts` (noise), `truncated` (part
+    /// of the wall is not in the image), `extracardiac_activity` (something bright beside the wall), `large_defect` (a third of the wall takes up
+    /// little), `small_heart` (a cavity that the camera hardly resolves at end systole), `motion` (opposite sides of the wall are dim, as when the
+    /// patient moved).
+    ///
+    /// Of the result: `shape` (a shape or size that hearts do not have), `valve_plane` (where the wall ends is not seen, or moves as no heart's),
+    /// `myocardial_volume_not_conserved` (the wall's volume varies by more than 5 % over the cycle), `surfaces_cross` (a cavity is not smaller than
+    /// the volume inside the outer surface).
     ///
     /// Preset `clinical`: `poor_residual` (the model leaves more than .15 of the wall's activity beyond noise), `wall_extrapolated` (more than 40 % of
     /// the wall rests on its surroundings), `pose_uncertain` (the ventricle was barely found), `psf_at_bound` (the estimated point-spread
@@ -70,10 +39,33 @@ pub struct Quality {
     ///
     /// Preset `paper`: `not_converged` (a surface has less than 95 % of its particles within one voxel of its border), `step_limit` (a mesh was still
     /// moving after `deform.max_steps`).
-    ///
-    /// Both: `myocardial_volume_not_conserved` (the wall's volume varies by more than 5 % over the cycle), `surfaces_cross` (a cavity is not smaller
-    /// than the volume inside the outer surface).
     pub flags: Vec<String>,
+    /// What the result was judged by, each with where it begins to count and where it is a flag. Empty in reports of versions before 0.2.
+    #[serde(default)]
+    #[schema(required)]
+    pub checks: Vec<Check>,
+}
+
+/// One measure that a result was judged by.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Check {
+    /// The flag that it can raise.
+    #[schema(example = "truncated")]
+    pub flag: String,
+    /// What is measured, with its unit; null for a fact, such as a fit that did not come to rest.
+    #[schema(required, example = "unseen_percent")]
+    pub measure: Option<String>,
+    /// Its value; null for a fact, and where it is no number.
+    #[schema(required)]
+    pub value: Option<f64>,
+    /// Nothing is wrong up to here.
+    #[schema(required)]
+    pub fine: Option<f64>,
+    /// The flag is raised from here on.
+    #[schema(required)]
+    pub limit: Option<f64>,
+    /// 1 where nothing is wrong, ½ at the limit and for a fact, falling in a straight line between and beyond, to 0 at the least.
+    pub score: f64,
 }
 
 /// What a result is judged by.
@@ -83,154 +75,109 @@ pub(super) struct Evidence<'a> {
     pub function: Option<&'a Function>,
     pub pose: Option<&'a PoseSummary>,
     pub model: Option<&'a ModelSummary>,
+    pub analysis: &'a Analysis,
     /// Whether the surfaces were to be those of the fitted model.
     pub refine: bool,
 }
 
+/// What was found so far.
+#[derive(Default)]
+struct Findings {
+    checks: Vec<Check>,
+    /// The sentences of flags.
+    flagged: Vec<Warning>,
+}
+
+impl Findings {
+    /// A measure, and what to say from its limit on.
+    fn measured(&mut self, flag: &str, measure: &str, value: f64, range: Range, sentence: impl FnOnce() -> String) {
+        let warnings = if range.wrong(value) >= 1.0 { vec![Warning::new(flag, sentence())] } else { Vec::new() };
+        self.told(flag, measure, value, range, warnings);
+    }
+
+    /// A measure, and what is said of it.
+    fn told(&mut self, flag: &str, measure: &str, value: f64, range: Range, warnings: Vec<Warning>) {
+        self.checks.push(Check {
+            flag: flag.to_owned(),
+            measure: Some(measure.to_owned()),
+            value: value.is_finite().then_some(value),
+            fine: Some(range.fine),
+            limit: Some(range.limit),
+            score: (1.0 - 0.5 * range.wrong(value)).max(0.0),
+        });
+        self.flagged.extend(warnings);
+    }
+
+    /// Something that is wrong.
+    fn fact(&mut self, flag: &str, sentence: String) {
+        self.facts(vec![Warning::new(flag, sentence)]);
+    }
+
+    /// Something that is wrong in one place or several; nothing is, without any.
+    fn facts(&mut self, warnings: Vec<Warning>) {
+        if let Some(Warning { code, .. }) = warnings.first() {
+            self.checks.push(Check { flag: code.clone(), measure: None, value: None, fine: None, limit: None, score: 0.5 });
+        }
+        self.flagged.extend(warnings);
+    }
+}
+
 /// The score and the flags, and the sentences that say what and where: one or more for each flag, and what is worth knowing besides.
 pub(super) fn assess(evidence: &Evidence<'_>, limits: &QualityLimits) -> (Quality, Vec<Warning>) {
-    let mut flagged = Vec::new();
-    for gate in evidence.gates {
-        of_gate(gate, limits, &mut flagged);
-    }
-    if let Some(pose) = evidence.pose.filter(|pose| pose.confidence.score < limits.pose_score) {
-        let text = format!(
-            "The ventricle was found with a score of {:.2} only ({} is sure enough): check the surfaces, or give `pose`.",
-            pose.confidence.score, limits.pose_score
-        );
-        flagged.push(Warning::new("pose_uncertain", text));
+    let mut findings = Findings::default();
+    fit::surfaces(evidence.gates, limits, &mut findings);
+    if let Some(pose) = evidence.pose {
+        fit::pose(pose, limits, &mut findings);
     }
     if let Some(model) = evidence.model {
-        of_model(model, evidence.refine, limits, &mut flagged);
-        flagged.extend(evidence.function.and_then(|function| disagreement(model, function, limits)));
+        fit::model(model, evidence.refine, limits, &mut findings);
+        if let Some(function) = evidence.function {
+            fit::disagreement(model, function, limits, &mut findings);
+        }
     }
-    if let Some(percent) = evidence.myocardium.variation_percent.filter(|&percent| percent > limits.wall_variation_percent) {
-        let text =
-            format!("The wall's volume varies by {percent:.1} % over the cycle; myocardium keeps its volume, so at least one gate is off.");
-        flagged.push(Warning::new("myocardial_volume_not_conserved", text));
-    }
+    fit::wall(evidence.myocardium, limits, &mut findings);
+    of_heart(evidence, limits, &mut findings);
+    let Findings { checks, flagged } = findings;
     let mut flags: Vec<String> = Vec::new();
     for warning in &flagged {
         if !flags.contains(&warning.code) {
             flags.push(warning.code.clone());
         }
     }
+    let score = checks.iter().map(|check| check.score).fold(1.0, f64::min);
     let mut warnings = flagged;
-    warnings.extend(evidence.model.and_then(|model| low_uptake(model, limits)));
-    (Quality { score: score(evidence, limits), flags }, warnings)
+    warnings.extend(evidence.model.and_then(|model| fit::low_uptake(model, limits)));
+    (Quality { score, flags, checks }, warnings)
 }
 
-fn of_gate(gate: &GateReport, limits: &QualityLimits, flagged: &mut Vec<Warning>) {
-    let fits = [(Surface::Endocardial, &gate.fit.endocardial), (Surface::Epicardial, &gate.fit.epicardial)];
-    for (surface, fit) in fits {
-        let Some(percent) = fit.within_one_voxel_percent else { continue };
-        if percent / 100.0 < limits.within_one_voxel {
-            let name = surface.name();
-            let text = format!("The {name} surface has {percent:.1} % of its particles within one voxel of the detected border.");
-            flagged.push(Warning::at_gate(gate.gate, "not_converged", text));
-        }
+fn of_heart(evidence: &Evidence<'_>, limits: &QualityLimits, findings: &mut Findings) {
+    let analysis = evidence.analysis;
+    if let Some(gating) = &analysis.signs.gating {
+        heart::gating(gating, limits, findings);
     }
-    for (surface, fit) in fits {
-        if fit.stop == Some(Stop::StepLimit) {
-            let text =
-                format!("The {} surface had not come to rest after {} steps, the most that were allowed.", surface.name(), fit.steps);
-            flagged.push(Warning::at_gate(gate.gate, "step_limit", text));
-        }
+    heart::image(analysis, limits, findings);
+    let tilts = evidence.gates.iter().filter_map(|gate| gate.model.as_ref()).map(|model| model.base_tilt_degrees.abs());
+    heart::valve_plane(analysis, tilts.max_by(f64::total_cmp), limits, findings);
+    heart::activity(analysis, limits, findings);
+    if let (Some(function), [_, systole]) = (evidence.function, analysis.shapes.as_slice()) {
+        heart::size(systole, function.esv_ml, evidence.model.map(|model| model.psf.fwhm_mm), limits, findings);
     }
-    if gate.myocardial_ml <= 0.0 {
-        let text = format!(
-            "The cavity ({:.1} ml) is not smaller than the volume inside the outer surface ({:.1} ml).",
-            gate.endocardial_ml, gate.epicardial_ml
-        );
-        flagged.push(Warning::at_gate(gate.gate, "surfaces_cross", text));
+    if let Some(diastole) = analysis.shapes.first() {
+        let thickness_mm = analysis.walls.thickness_range[analysis.end_diastole].as_ref().map(|range| range.mean_mm);
+        heart::shape(diastole, thickness_mm, limits, findings);
     }
-}
-
-fn of_model(model: &ModelSummary, refine: bool, limits: &QualityLimits, flagged: &mut Vec<Warning>) {
-    let mut flag = |code: &str, text: String| flagged.push(Warning::new(code, text));
-    if model.residual.unexplained > limits.unexplained_residual {
-        let text = format!(
-            "The model leaves {:.0} % of the wall's activity unexplained beyond noise ({:.0} % is the limit): something else is bright beside the \
-             wall, or the wall is not where the surfaces are.",
-            100.0 * model.residual.unexplained,
-            100.0 * limits.unexplained_residual
-        );
-        flag("poor_residual", text);
-    }
-    if model.extrapolated_percent > limits.extrapolated_percent {
-        let text = format!(
-            "{:.0} % of the wall was placed by its surroundings more than by its own counts ({:.0} % is the limit).",
-            model.extrapolated_percent, limits.extrapolated_percent
-        );
-        flag("wall_extrapolated", text);
-    }
-    if model.psf.at_bound {
-        let text = format!(
-            "The estimate of the point-spread function ended at a limit of its search ({:.1} mm). Volumes depend on it: give `refine.psf_fwhm_mm` if \
-             it is known.",
-            model.psf.fwhm_mm
-        );
-        flag("psf_at_bound", text);
-    }
-    if refine && !model.refined {
-        flag("not_converged", "The model of the camera could not be fitted: the surfaces are those at the gradient's extrema.".to_owned());
-    } else if refine && !model.converged {
-        let text = format!("The fit of the model had not come to rest after {} steps, the most that were allowed.", model.steps);
-        flag("not_converged", text);
-    }
-}
-
-/// The ejection fractions by other means that are too far from the reported one.
-fn disagreement(model: &ModelSummary, function: &Function, limits: &QualityLimits) -> Option<Warning> {
-    let others =
-        [("the gradient's borders", model.referee.gradient_ef_percent), ("the rise of the wall's counts", model.referee.counts_ef_percent)];
-    let far: Vec<String> = others
-        .into_iter()
-        .filter_map(|(by, percent)| percent.map(|percent| (by, percent)))
-        .filter(|(_, percent)| (percent - function.ef_percent).abs() > limits.ef_disagreement_points)
-        .map(|(by, percent)| format!("{percent:.0} % by {by}"))
-        .collect();
-    if far.is_empty() {
-        return None;
-    }
-    let text = format!("The ejection fraction is {:.0} %, but {}: judge it by eye.", function.ef_percent, far.join(" and "));
-    Some(Warning::new("methods_disagree", text))
-}
-
-/// Says that part of the wall takes up little: what a physician wants to know, and no doubt of the result.
-fn low_uptake(model: &ModelSummary, limits: &QualityLimits) -> Option<Warning> {
-    (model.low_uptake_percent > limits.low_uptake_percent).then(|| {
-        let text = format!(
-            "{:.0} % of the wall takes up little: a perfusion defect, or the camera's. There the surfaces lean on the wall around.",
-            model.low_uptake_percent
-        );
-        Warning::new("low_uptake", text)
-    })
-}
-
-/// 1 where nothing is wrong, ½ at the limit, 0 at twice of it and beyond.
-fn factor(wrong: f64, limit: f64) -> f64 {
-    (1.0 - 0.5 * wrong / limit).clamp(0.0, 1.0)
-}
-
-fn score(evidence: &Evidence<'_>, limits: &QualityLimits) -> f64 {
-    if evidence.model.is_none() && evidence.pose.is_none() {
-        let fits = evidence.gates.iter().flat_map(|gate| [&gate.fit.endocardial, &gate.fit.epicardial]);
-        let within: Vec<f64> = fits.filter_map(|fit| fit.within_one_voxel_percent).map(|percent| percent / 100.0).collect();
-        return within.iter().sum::<f64>() / within.len().max(1) as f64;
-    }
-    let found = evidence.pose.map_or(1.0, |pose| factor(1.0 - pose.confidence.score, 1.0 - limits.pose_score));
-    let explained = evidence.model.map_or(1.0, |model| factor(model.residual.unexplained, limits.unexplained_residual));
-    let seen = evidence.model.map_or(1.0, |model| factor(model.extrapolated_percent, limits.extrapolated_percent));
-    found * explained * seen
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::{
-        clinical::{ModelFit, PsfEstimate, PsfSource, Referee, Residual},
-        pose::{Pose, PoseConfidence},
+    use crate::{
+        analysis::{GatingSigns, Perfusion, Places, RotationSource, Shape, Signs, Walls},
+        pipeline::{
+            clinical::{ModelFit, PsfEstimate, PsfSource, Referee, Residual},
+            pose::{Pose, PoseConfidence},
+            thickness::ThicknessRange,
+        },
     };
     use glam::DVec3;
 
@@ -265,10 +212,78 @@ mod tests {
         PoseSummary::of(&Pose { apex_mm: DVec3::ZERO, base_mm: DVec3::Z * 80.0, radius_mm: 30.0, confidence }, None)
     }
 
+    /// A heart that nothing speaks against.
+    fn heart() -> Analysis {
+        let shape = |gate, long_axis_mm: f64, short_axis_mm: f64| Shape {
+            gate,
+            long_axis_mm,
+            short_axis_mm,
+            sphericity_index: short_axis_mm / long_axis_mm,
+            volume_sphericity: 0.5,
+            eccentricity: 0.7,
+        };
+        let gating = GatingSigns { least_gate_percent: 90.0, end_diastole: -0.125, systole: 0.375, turns: 1.0 };
+        Analysis {
+            places: Places {
+                of_vertex: Vec::new(),
+                axes: [DVec3::X, DVec3::Y, DVec3::Z],
+                centre_mm: DVec3::ZERO,
+                rotation: RotationSource::Given,
+            },
+            end_diastole: 0,
+            end_systole: 3,
+            walls: Walls {
+                thickness_mm: Vec::new(),
+                thickness_range: vec![Some(ThicknessRange { mean_mm: 10.0, max_mm: 12.0, min_mm: 8.0 })],
+                thickening_percent: Vec::new(),
+                motion_mm: Vec::new(),
+            },
+            perfusion: Perfusion {
+                percent: Vec::new(),
+                maximum_counts: 100.0,
+                threshold_percent: 50.0,
+                extent_percent: 4.0,
+                severity_percent: 10.0,
+                area_cm2: 5.0,
+                without_border_cm2: None,
+            },
+            phase: None,
+            cycle: None,
+            shapes: vec![shape(0, 80.0, 50.0), shape(3, 70.0, 35.0)],
+            signs: Signs {
+                gating: Some(gating),
+                unseen_percent: 0.0,
+                unseen_base_percent: 0.0,
+                base_counts_percent: 85.0,
+                bright_beside_percent: 1.0,
+                base_motion_mm: Some(9.0),
+                opposed_percent: 1.0,
+            },
+        }
+    }
+
     fn judged_with(fit: &ModelFit, pose: &PoseSummary, myocardium: &Myocardium, refine: bool) -> (Quality, Vec<Warning>) {
-        let model = ModelSummary::from(fit);
-        let evidence = Evidence { gates: &[], myocardium, function: Some(&FUNCTION), pose: Some(pose), model: Some(&model), refine };
+        let (model, analysis) = (ModelSummary::from(fit), heart());
+        let evidence = Evidence {
+            gates: &[],
+            myocardium,
+            function: Some(&FUNCTION),
+            pose: Some(pose),
+            model: Some(&model),
+            analysis: &analysis,
+            refine,
+        };
         assess(&evidence, &QUALITY_LIMITS)
+    }
+
+    /// The one flag of a heart that is changed.
+    fn flag_of_heart(esv_ml: f64, change: impl FnOnce(&mut Analysis)) -> String {
+        let mut analysis = heart();
+        change(&mut analysis);
+        let (model, pose, function) = (ModelSummary::from(&good()), pose(0.9), Function { esv_ml, ..FUNCTION });
+        let (function, pose, model) = (Some(&function), Some(&pose), Some(&model));
+        let evidence = Evidence { gates: &[], myocardium: &MYOCARDIUM, function, pose, model, analysis: &analysis, refine: true };
+        flag(assess(&evidence, &QUALITY_LIMITS))
     }
 
     fn judged(fit: &ModelFit) -> (Quality, Vec<Warning>) {
@@ -295,7 +310,7 @@ mod tests {
     fn a_residual_that_noise_does_not_explain_is_flagged() {
         let of = |relative, over_noise| judged(&ModelFit { residual: Residual { relative, over_noise }, ..good() });
         assert_eq!(flag(of(0.2, 4.0)), "poor_residual");
-        assert!(of(0.2, 1.1).0.flags.is_empty(), "noise explains it");
+        assert_eq!(flag(of(0.2, 1.1)), "low_counts", "noise explains it");
         assert!(of(0.14, 9.0).0.flags.is_empty(), "below the limit");
     }
 
@@ -309,8 +324,8 @@ mod tests {
     #[test]
     fn an_uncertain_pose_is_flagged() {
         let of = |score| judged_with(&good(), &pose(score), &MYOCARDIUM, true);
-        assert_eq!(flag(of(QUALITY_LIMITS.pose_score - 0.01)), "pose_uncertain");
-        assert!(of(QUALITY_LIMITS.pose_score).0.flags.is_empty());
+        assert_eq!(flag(of(QUALITY_LIMITS.pose_score.limit - 0.01)), "pose_uncertain");
+        assert!(of(QUALITY_LIMITS.pose_score.limit + 0.01).0.flags.is_empty());
     }
 
     #[test]
@@ -359,14 +374,88 @@ mod tests {
     }
 
     #[test]
+    fn noise_is_flagged_only_where_the_model_explains_the_rest() {
+        let of = |relative, over_noise| judged(&ModelFit { residual: Residual { relative, over_noise }, ..good() });
+        assert_eq!(flag(of(0.14, 1.05)), "low_counts");
+        assert!(of(0.1, 1.05).0.flags.is_empty(), "below the limit");
+    }
+
+    #[test]
+    fn gates_that_no_heart_makes_are_flagged() {
+        let of = |change: fn(&mut GatingSigns)| flag_of_heart(40.0, |heart| heart.signs.gating.as_mut().into_iter().for_each(change));
+        let changes: [fn(&mut GatingSigns); 6] = [
+            |gates| gates.least_gate_percent = 49.0,
+            |gates| gates.end_diastole = -0.25,
+            |gates| gates.end_diastole = 0.25,
+            |gates| gates.systole = 0.625,
+            |gates| gates.systole = 0.125,
+            |gates| gates.turns = 1.3,
+        ];
+        for change in changes {
+            assert_eq!(of(change), "gating");
+        }
+    }
+
+    #[test]
+    fn what_the_image_does_not_hold_or_holds_besides_is_flagged() {
+        let of = |change: fn(&mut Analysis)| flag_of_heart(40.0, change);
+        assert_eq!(of(|heart| heart.signs.unseen_percent = 5.1), "truncated");
+        assert_eq!(of(|heart| heart.signs.bright_beside_percent = 30.0), "extracardiac_activity");
+        assert_eq!(of(|heart| heart.perfusion.extent_percent = 40.0), "large_defect");
+        assert_eq!(of(|heart| heart.signs.opposed_percent = 10.0), "motion");
+        let of_plane: [fn(&mut Analysis); 4] = [
+            |heart| heart.signs.unseen_base_percent = 60.0,
+            |heart| heart.signs.base_counts_percent = 30.0,
+            |heart| heart.signs.base_motion_mm = Some(-2.0),
+            |heart| heart.signs.base_motion_mm = Some(25.0),
+        ];
+        for change in of_plane {
+            assert_eq!(of(change), "valve_plane");
+        }
+    }
+
+    #[test]
+    fn sizes_and_shapes_that_hearts_do_not_have_are_flagged() {
+        assert_eq!(flag_of_heart(15.0, |_| ()), "small_heart");
+        assert_eq!(flag_of_heart(40.0, |heart| heart.shapes[1].short_axis_mm = 12.0), "small_heart");
+        let of_shape: [fn(&mut Analysis); 4] = [
+            |heart| heart.shapes[0].sphericity_index = 1.1,
+            |heart| heart.shapes[0].sphericity_index = 0.3,
+            |heart| heart.shapes[0].long_axis_mm = 150.0,
+            |heart| heart.walls.thickness_range[0].as_mut().into_iter().for_each(|range| range.mean_mm = 3.0),
+        ];
+        for change in of_shape {
+            assert_eq!(flag_of_heart(40.0, change), "shape");
+        }
+    }
+
+    #[test]
+    fn every_check_says_what_it_measured_and_a_flag_is_half_a_score() {
+        let (quality, _) = judged(&good());
+        assert!(quality.checks.len() > 20, "{quality:?}");
+        assert!(quality.checks.iter().all(|check| check.measure.is_some() && check.value.is_some() && check.score > 0.5), "{quality:?}");
+        for judged in [judged(&ModelFit { converged: false, ..good() }), judged(&ModelFit { extrapolated_fraction: 0.4, ..good() })] {
+            let (quality, _) = judged;
+            let raised: Vec<&str> = quality.checks.iter().filter(|check| check.score <= 0.5).map(|check| check.flag.as_str()).collect();
+            assert_eq!(raised, quality.flags, "{quality:?}");
+            assert!((quality.score - 0.5).abs() < 1e-9, "{quality:?}");
+        }
+    }
+
+    #[test]
     fn the_score_falls_with_everything_that_is_wrong_and_is_half_at_a_limit() {
-        let clear = ModelFit { residual: Residual { relative: 0.0, over_noise: 0.0 }, extrapolated_fraction: 0.0, ..good() };
+        let clear = ModelFit {
+            residual: Residual { relative: 0.0, over_noise: 0.0 },
+            extrapolated_fraction: 0.0,
+            referee: Referee { gradient_ef_percent: Some(58.0), counts_ef_percent: Some(62.0) },
+            ..good()
+        };
         let score = |fit: &ModelFit, of_pose: f64| judged_with(fit, &pose(of_pose), &MYOCARDIUM, true).0.score;
         assert!((score(&clear, 1.0) - 1.0).abs() < 1e-12);
         let halves = [
             score(&ModelFit { extrapolated_fraction: 0.4, ..clear.clone() }, 1.0),
             score(&ModelFit { residual: Residual { relative: 0.15, over_noise: 1e9 }, ..clear.clone() }, 1.0),
-            score(&clear, QUALITY_LIMITS.pose_score),
+            score(&clear, QUALITY_LIMITS.pose_score.limit),
         ];
         assert!(halves.iter().all(|half| (half - 0.5).abs() < 1e-9), "{halves:?}");
         let falling: Vec<f64> = (0..10)

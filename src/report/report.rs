@@ -328,6 +328,7 @@ pub fn build(id: &str, study: &Study, reconstruction: &Reconstruction, analysis:
             function: function.as_ref(),
             pose: pose.as_ref(),
             model: model.as_ref(),
+            analysis,
             refine: reconstruction.parameters.refine.enabled,
         },
         &QUALITY_LIMITS,

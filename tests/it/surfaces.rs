@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 use gltf::{Glb, Gltf, Semantic, accessor::Accessor, mesh::util::ReadIndices};
+use ndarray::Array3;
 use serde_json::Value;
 use std::{path::Path, process::Command};
 use ventricle::{
@@ -22,15 +23,26 @@ use ventricle::{
     volume::{Grid, Volume},
 };
 
-/// A study without counts and two ellipsoids beating in it: endocardial axes shrink by a third and back, the wall keeps its volume.
+/// A bright wall between two ellipsoids that beat: endocardial axes shrink by a third and back, the wall keeps its volume.
 pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>) -> (Study, Reconstruction) {
-    let grid = Grid { shape: [4, 4, 4], spacing_mm: [5.74, 2.87, 2.87] };
+    let grid = Grid { shape: [36, 36, 36], spacing_mm: [5.0; 3] };
     let mut acquisition = Acquisition::unknown(Format::Phantom);
     acquisition.study_instance_uid = Some("2.25.1".to_owned());
     acquisition.rr_interval_ms = Some(800.0);
-    let gate = || Gate { volume: Volume::zeros(grid), duration_ms: Some(800.0 / gates as f64) };
-    let study = Study { grid, gates: (0..gates).map(|_| gate()).collect(), orientation, acquisition, warnings: Vec::new() };
-    let centre = DVec3::new(90.0, 80.0, 60.0);
+    let centre = DVec3::new(90.0, 80.0, 90.0);
+    // Semi-axes of the cavity and of the whole at a gate.
+    let axes = |gate: usize| {
+        let phase = std::f64::consts::TAU * gate as f64 / gates as f64;
+        let inner = DVec3::new(24.0, 25.0, 45.0) * (1.0 - (1.0 - phase.cos()) / 6.0);
+        (inner, inner * (1.0 + 60_000.0 / inner.element_product()).cbrt())
+    };
+    let gate = |gate: usize| {
+        let (inner, outer) = axes(gate);
+        let bright = |point: DVec3| ((point - centre) / inner).length() > 1.0 && ((point - centre) / outer).length() < 1.0;
+        let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| if bright(grid.position_mm([z, y, x])) { 100.0 } else { 5.0 });
+        Gate { volume: Volume { grid, counts }, duration_ms: Some(800.0 / gates as f64) }
+    };
+    let study = Study { grid, gates: (0..gates).map(gate).collect(), orientation, acquisition, warnings: Vec::new() };
     let sphere = Mesh::icosphere(level);
     let fit = |axes: DVec3| Fit {
         mesh: sphere.map(|point| centre + axes * point),
@@ -47,10 +59,7 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
     };
     let gates = (0..gates)
         .map(|index| {
-            let phase = std::f64::consts::TAU * index as f64 / gates as f64;
-            let inner = DVec3::new(24.0, 25.0, 45.0) * (1.0 - (1.0 - phase.cos()) / 6.0);
-            let wall = 90_000.0;
-            let outer = inner * (1.0 + wall / inner.element_product()).cbrt();
+            let (inner, outer) = axes(index);
             GateReconstruction { fits: PerSurface { endocardial: fit(inner), epicardial: fit(outer) }, wall_order: WallOrder::default() }
         })
         .collect();
@@ -306,7 +315,8 @@ fn what_cannot_be_drawn_is_refused_by_gate_and_surface() {
 
 #[test]
 fn every_variant_colours_the_wall_with_its_map_and_leaves_the_lid() {
-    let (study, reconstruction) = beating(8, 3, Some(oblique(false)));
+    let (mut study, reconstruction) = beating(8, 3, Some(oblique(false)));
+    study.gates.iter_mut().for_each(|gate| gate.volume.counts.fill(0.0));
     let analysis = analyse(&study, &reconstruction);
     let bytes = glb::cycle(&study, &reconstruction, &analysis).unwrap();
     let json: Value = serde_json::from_slice(&Glb::from_slice(&bytes).unwrap().json).unwrap();
@@ -314,7 +324,7 @@ fn every_variant_colours_the_wall_with_its_map_and_leaves_the_lid() {
     assert!(json["extensionsRequired"].is_null(), "a viewer without the extension shows it plain");
     let names: Vec<&str> =
         json["extensions"]["KHR_materials_variants"]["variants"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap()).collect();
-    // The phantom has no counts, so no phase.
+    // Without counts there is no phase.
     assert_eq!(names, ["plain", "perfusion", "end_diastolic_thickness", "end_systolic_thickness", "thickening", "motion"]);
     let opened = Opened::new(&bytes);
     let extras = opened.extras();
