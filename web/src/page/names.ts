@@ -1,0 +1,13 @@
+import type { Job } from "../../client/src/index.ts";
+import { t } from "../languages/index.ts";
+
+/** A short name: the end of the id, which differs most. No patient is known here. */
+export function nameOf(job: { id: string }): string {
+  return job.id.slice(-6);
+}
+
+/** Where a job is, in words. */
+export function stateOf(job: Job): string {
+  if (job.cancel_requested && job.finished_at === null) return t("state.cancelling");
+  return t(`state.${job.state}`);
+}
