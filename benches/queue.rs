@@ -118,6 +118,7 @@ fn job(study: &Study) -> NewJob {
         subject: None,
         parameters: Parameters::clinical(),
         retention: None,
+        keep_input: None,
         callback_url: None,
     }
 }

@@ -11,6 +11,7 @@ mod neighbourhood;
 pub mod perfusion;
 pub mod phase;
 pub mod places;
+pub mod planes;
 pub mod polar;
 mod quantity;
 pub mod segments;

@@ -96,6 +96,7 @@ impl Assembler {
             subject: received.subject,
             parameters: Parameters::clinical(),
             retention: None,
+            keep_input: None,
             callback_url: self.settings.callback_url.clone(),
         }
     }

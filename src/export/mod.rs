@@ -3,6 +3,7 @@
 mod buffer;
 pub mod frame;
 pub mod glb;
+pub mod slices;
 pub mod stl;
 pub mod stored;
 pub mod variants;
@@ -52,8 +53,8 @@ pub enum ExportError {
     /// An array could not be compressed.
     #[error("The wall could not be written: {0}.")]
     Compression(#[from] std::io::Error),
-    /// A texture could not be written.
-    #[error("The surfaces' textures could not be written: {0}.")]
+    /// A texture or the picture of slices could not be written.
+    #[error("A picture could not be written: {0}.")]
     Texture(#[from] png::EncodingError),
     /// A stored surface is not as it was written.
     #[error("The stored surface has no {what} as this program writes it.")]

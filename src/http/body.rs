@@ -13,7 +13,7 @@ use std::{convert::Infallible, time::Duration};
 /// Most parts of a multipart body: one slice a file of the largest stack, and its parameters. Beyond it, headers cost more than content.
 const MOST_PARTS: usize = 4097;
 /// Most bytes of the part `parameters`: parsed JSON takes many times its text.
-const MOST_PARAMETER_BYTES: usize = 256 << 10;
+pub(super) const MOST_PARAMETER_BYTES: usize = 256 << 10;
 /// Most characters of a header that are repeated to the client.
 const SHOWN_CHARACTERS: usize = 40;
 /// Time that a refused body gets to arrive.
@@ -69,6 +69,12 @@ pub(super) enum BodyError {
         /// What the parser met.
         why: String,
     },
+    /// A body of parameters is no JSON.
+    #[error("The body is not JSON: {why}. Send the parameters as a JSON object, or no body.")]
+    BodyNotJson {
+        /// What the parser met.
+        why: String,
+    },
     /// The part `parameters` is larger than any parameters are.
     #[error("The part `parameters` has {bytes} bytes, more than the {limit} that parameters may have.")]
     ParametersTooLarge {
@@ -98,7 +104,7 @@ impl BodyError {
             Self::Encoded { .. } => "unsupported_encoding",
             Self::ContentLength => "invalid_content_length",
             Self::NoBoundary | Self::Multipart { .. } => "malformed_multipart",
-            Self::ParametersNotJson { .. } | Self::SeveralParameters => "malformed_parameters",
+            Self::ParametersNotJson { .. } | Self::BodyNotJson { .. } | Self::SeveralParameters => "malformed_parameters",
             Self::TooManyParts { .. } => "too_many_parts",
         }
     }

@@ -190,14 +190,15 @@ pub(super) fn reference() -> Router<AppState> {
     SwaggerUi::new("/docs").config(Config::from("/openapi.json").try_it_out_enabled(true).display_request_duration(true)).into()
 }
 
-/// What stands at the root until the viewer is built.
-pub(super) async fn root() -> Html<&'static str> {
+/// What stands at the root where the viewer was not built in.
+pub(super) fn root() -> Html<&'static str> {
     Html(concat!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Ventricle</title>",
         "<style>body{font:1.1rem/1.6 system-ui,sans-serif;max-width:40rem;margin:4rem auto;padding:0 1rem}</style>",
         "<h1>Ventricle ",
         env!("CARGO_PKG_VERSION"),
-        "</h1><p>Reconstructs the left ventricle from gated cardiac SPECT.</p><ul>",
+        "</h1><p>Reconstructs the left ventricle from gated cardiac SPECT. The viewer was not built into this program: build it with \
+         <code>make web</code>, then the program again.</p><ul>",
         "<li><a href=\"/docs/\">Reference of the HTTP interface</a>, to try out (<a href=\"/openapi.json\">as OpenAPI</a>)</li>",
         "<li><a href=\"/v1/reconstructions\">Reconstructions</a>, newest first</li>",
         "<li><a href=\"/v1/parameters\">Parameters</a> with defaults and ranges</li>",

@@ -14,7 +14,7 @@ use futures_util::{Stream, stream};
 use std::{convert::Infallible, time::Duration};
 
 /// Time between comments that keep idle connections open: below the usual 60 s of proxies.
-const KEEP_ALIVE: Duration = Duration::from_secs(15);
+pub(super) const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Longest single wait for a change; only bounds how long a forgotten wait lives.
 const WAIT: Duration = Duration::from_mins(1);
 

@@ -5,9 +5,11 @@
 
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
+mod again;
 mod archived;
 mod body;
 mod comparison;
+mod demonstration;
 mod dicomweb;
 mod docs;
 mod events;
@@ -16,12 +18,16 @@ mod health;
 mod layers;
 mod listener;
 mod negotiate;
+mod news;
 mod pictures;
 mod problem;
 mod reconstructions;
 mod results;
 mod service;
+mod slices;
+mod viewer;
 mod views;
+mod wishes;
 
 pub use health::{Check, Checks};
 pub use problem::Problem;
@@ -73,9 +79,17 @@ pub struct AppState {
     disk: Option<Disk>,
     cors: Cors,
     callbacks: Option<Arc<Rules>>,
+    phantom: Arc<demonstration::Made>,
+    viewer: viewer::Files,
     draining: CancellationToken,
     metrics: PrometheusHandle,
     openapi: Arc<str>,
+}
+
+impl axum::extract::FromRef<AppState> for viewer::Files {
+    fn from_ref(state: &AppState) -> Self {
+        Self::clone(&state.viewer)
+    }
 }
 
 /// Room a directory must have.
@@ -101,6 +115,8 @@ impl AppState {
             disk: None,
             cors: Cors::Off,
             callbacks: None,
+            phantom: Arc::default(),
+            viewer: viewer::embedded(),
             draining: CancellationToken::new(),
             metrics: telemetry::metrics(),
             openapi: openapi_json().into(),
@@ -169,6 +185,12 @@ impl AppState {
         Self { callbacks: Some(Arc::new(rules)), ..self }
     }
 
+    /// With another viewer than the one built in: its files by name. With none, the root says that there is no viewer.
+    #[must_use]
+    pub fn with_viewer(self, files: std::collections::BTreeMap<String, Vec<u8>>) -> Self {
+        Self { viewer: viewer::given(files), ..self }
+    }
+
     /// Cancel it to refuse new work, end waiting answers and call the service not ready.
     pub fn draining(&self) -> CancellationToken {
         self.draining.clone()
@@ -214,6 +236,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(reconstructions::list))
         .routes(routes!(reconstructions::get, reconstructions::delete))
         .routes(routes!(events::events))
+        .routes(routes!(news::news))
         .routes(routes!(results::report))
         .routes(routes!(results::surfaces))
         .routes(routes!(results::endocardial))
@@ -221,6 +244,8 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(results::wall))
         .routes(routes!(comparison::comparison))
         .routes(routes!(results::polar_maps))
+        .routes(routes!(slices::slices))
+        .routes(routes!(slices::picture))
         .routes(routes!(pictures::polar_map))
         .routes(routes!(pictures::report_page))
         .routes(routes!(archived::sr))
@@ -230,6 +255,7 @@ fn routes() -> OpenApiRouter<AppState> {
         .routes(routes!(archived::endocardial_stl_dicom))
         .routes(routes!(archived::epicardial_stl_dicom))
         .routes(routes!(docs::list_parameters))
+        .routes(routes!(demonstration::phantom))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::metrics))
@@ -240,6 +266,7 @@ fn routes() -> OpenApiRouter<AppState> {
     // A submission has its own time for the body, and none for being parsed: its place is taken and its size known.
     OpenApiRouter::with_openapi(docs::Contract::openapi())
         .routes(routes!(reconstructions::submit))
+        .routes(routes!(again::again))
         .routes(routes!(dicomweb::store))
         .routes(routes!(dicomweb::store_of_study))
         .merge(timely)
@@ -250,7 +277,11 @@ pub fn router(state: AppState) -> Router {
     let (contract, _) = routes().split_for_parts();
     let router = contract
         .merge(docs::reference())
-        .route("/", axum::routing::get(docs::root))
+        .route("/", axum::routing::get(viewer::page))
+        .route("/studies/{id}", axum::routing::get(viewer::page))
+        .route("/assets/{*file}", axum::routing::get(viewer::file))
+        .route("/embed/{*file}", axum::routing::get(viewer::file))
+        .fallback(viewer::other)
         // The same with a slash at the end, as configurations written by hand have it: no client of STOW-RS follows a redirect.
         .route("/dicom-web/studies/", axum::routing::post(dicomweb::store))
         .route("/dicom-web/studies/{study_instance_uid}/", axum::routing::post(dicomweb::store_of_study))

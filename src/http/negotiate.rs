@@ -46,6 +46,22 @@ pub(super) fn first_acceptable(headers: &HeaderMap, offered: &[&'static str]) ->
     allowed.ok_or(NotAcceptable { offered: offered.first().copied().unwrap_or_default() })
 }
 
+/// Whether `Accept-Encoding` (RFC 9110 §12.5.3) allows a coding. No header allows none.
+pub(super) fn accepts_coding(headers: &HeaderMap, coding: &str) -> bool {
+    let listed = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok()).flat_map(|line| line.split(','));
+    let mut of_all = false;
+    for entry in listed {
+        let mut pieces = entry.split(';').map(str::trim);
+        let name = pieces.next().unwrap_or_default();
+        let refused = pieces.any(|piece| piece.strip_prefix("q=").is_some_and(|q| q.parse::<f32>().is_ok_and(|q| q == 0.0)));
+        if name.eq_ignore_ascii_case(coding) {
+            return !refused;
+        }
+        of_all |= name == "*" && !refused;
+    }
+    of_all
+}
+
 /// Whether `If-None-Match` names this entity tag (weak comparison, RFC 9110 §13.1.2).
 pub(super) fn none_match(headers: &HeaderMap, etag: &str) -> bool {
     let opaque = |tag: &str| tag.trim().trim_start_matches("W/").to_owned();
@@ -99,6 +115,23 @@ mod tests {
             assert_eq!(none_match(&headers("if-none-match", sent), "W/\"a\""), matches, "{sent}");
         }
         assert!(!none_match(&HeaderMap::new(), "\"a\""));
+    }
+
+    #[test]
+    fn codings_are_allowed_by_name_or_by_all() {
+        for (sent, allowed) in [
+            ("gzip, deflate, br", true),
+            ("BR;q=0.5", true),
+            ("*", true),
+            ("br;q=0, *", false),
+            ("*, br;q=0.0", false),
+            ("*;q=0", false),
+            ("gzip", false),
+            ("", false),
+        ] {
+            assert_eq!(accepts_coding(&headers("accept-encoding", sent), "br"), allowed, "{sent}");
+        }
+        assert!(!accepts_coding(&HeaderMap::new(), "br"));
     }
 
     #[test]

@@ -7,6 +7,7 @@ use crate::{
     intake::{IntakeError, Nature, sentence},
     jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
+    phantom::PhantomError,
     pipeline::PipelineError,
     report::ComparisonError,
 };
@@ -123,6 +124,15 @@ impl Problem {
         Self::new(StatusCode::NOT_FOUND, "not_found", detail)
     }
 
+    /// Something is asked that needs the input, which was not kept.
+    pub(super) fn input_not_kept(job: &Job) -> Self {
+        let detail = format!(
+            "The reconstruction is {} and its input is not there any more. Send the study again with the parameter `keep_input` true, or ask              the operator to set --keep-input.",
+            job.state.name()
+        );
+        Self::new(StatusCode::CONFLICT, "input_not_kept", detail)
+    }
+
     /// A result is asked of a job that does not have it: because it is not finished, has failed, was cancelled, or has fewer gates.
     pub(super) fn no_result(job: &Job, name: &str) -> Self {
         match job.state {
@@ -200,6 +210,7 @@ impl From<BodyError> for Problem {
             | BodyError::NoBoundary
             | BodyError::Multipart { .. }
             | BodyError::ParametersNotJson { .. }
+            | BodyError::BodyNotJson { .. }
             | BodyError::SeveralParameters
             | BodyError::TooManyParts { .. } => StatusCode::BAD_REQUEST,
         };
@@ -272,7 +283,14 @@ impl From<ArchiveError> for Problem {
 
 impl From<ExportError> for Problem {
     fn from(error: ExportError) -> Self {
-        tracing::error!(%error, "a stored surface could not be read");
+        tracing::error!(%error, "a result could not be made from what is stored");
+        Self::internal()
+    }
+}
+
+impl From<PhantomError> for Problem {
+    fn from(error: PhantomError) -> Self {
+        tracing::error!(%error, "the phantom could not be made");
         Self::internal()
     }
 }

@@ -7,13 +7,12 @@ use super::{
     negotiate,
     problem::Problem,
     views::{self, Binary, JobListView, JobState, JobView},
+    wishes::{Rules, Wishes},
 };
 use crate::{
-    callbacks::Rules,
     intake, jobs,
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
-    parameters::{self, ParameterError},
-    pipeline::{pose, region},
+    parameters,
     study::Format,
 };
 use axum::{
@@ -141,12 +140,8 @@ pub(super) async fn submit(
     let bytes = body::read(body, reservation.bytes(), state.upload_time).await?;
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
-    let callbacks = state.callbacks.clone();
-    let (longest_retention_s, keep_subject) = (state.longest_retention.as_secs(), state.keep_patient);
-    let parsing = move |limits: &_| {
-        let rules = JobRules { longest_retention_s, keep_subject, callbacks: callbacks.as_deref() };
-        receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules)
-    };
+    let (rules, keep_subject) = (Rules::of(&state), state.keep_patient);
+    let parsing = move |limits: &_| receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules, keep_subject);
     let new = state.parse(parsing).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
@@ -164,15 +159,6 @@ fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reser
     Ok((idempotency_key, state.store.reserve(announced)?))
 }
 
-/// What a request may ask of its job.
-struct JobRules<'a> {
-    longest_retention_s: u64,
-    /// Whether it is kept whom the study is of.
-    keep_subject: bool,
-    /// `None`: there are no callbacks.
-    callbacks: Option<&'a Rules>,
-}
-
 /// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
 fn receive(
     content_type: Option<&str>,
@@ -180,11 +166,12 @@ fn receive(
     mut query: Vec<(String, String)>,
     idempotency_key: Option<String>,
     limits: &intake::Limits,
-    rules: &JobRules<'_>,
+    rules: &Rules,
+    keep_subject: bool,
 ) -> Result<NewJob, Problem> {
     let upload = Upload::new(content_type, bytes)?;
     let request_hash = upload.hash(&query);
-    let options = intake::Options { spacing_mm: take_spacing(&mut query)?, keep_subject: rules.keep_subject };
+    let options = intake::Options { spacing_mm: take_spacing(&mut query)?, keep_subject };
     let query = parameters::from_query(&query)?;
     let parts: Vec<_> = upload
         .files
@@ -197,29 +184,8 @@ fn receive(
             "The query gives `spacing_mm`, but the study says itself how far apart its voxels are. Leave it out: it is for NPY alone.";
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
     }
-    let mut request =
-        parameters::parse_for_job(&merged_parameters(received.parameters, upload.parameters, query), rules.longest_retention_s)?;
-    let retention = request.retention_seconds.map(Duration::from_secs);
-    let callback_url = callback_url(request.callback_url.take(), rules.callbacks)?;
-    let parameters = parameters::resolve(request)?;
-    region::check_marks(&received.study.grid, &parameters.region)?;
-    pose::check_marks(&received.study.grid, &parameters.pose)?;
-    let (study, subject) = (received.study, received.subject);
-    Ok(NewJob { owner: jobs::ANONYMOUS.to_owned(), idempotency_key, request_hash, study, subject, parameters, retention, callback_url })
-}
-
-/// Who is told of the job's end: the URL asked for, if it may be called, else the operator's.
-fn callback_url(requested: Option<String>, callbacks: Option<&Rules>) -> Result<Option<String>, ParameterError> {
-    let refused = |code, detail: String| ParameterError::one(code, "/callback_url", detail);
-    match (callbacks, requested) {
-        (None, None) => Ok(None),
-        (None, Some(_)) => {
-            let detail = "`callback_url` is not available: this service has no secret to sign callbacks with. Leave it out, or ask the operator \
-                          to set --callback-secret-file.";
-            Err(refused("unavailable_parameter", detail.to_owned()))
-        }
-        (Some(rules), requested) => rules.url(requested).map_err(|error| refused("invalid_parameter", format!("`callback_url` {error}"))),
-    }
+    let wishes = Wishes::read(&merged_parameters(received.parameters, upload.parameters, query), rules, &received.study)?;
+    Ok(wishes.job(received.study, received.subject, idempotency_key, request_hash))
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.
@@ -235,7 +201,7 @@ fn take_spacing(query: &mut Vec<(String, String)>) -> Result<Option<[f64; 3]>, P
     spacing.map(Some).ok_or_else(|| Problem::new(StatusCode::BAD_REQUEST, "invalid_query", detail))
 }
 
-fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
     let key = value.to_str().ok().filter(|key| (1..=LONGEST_KEY).contains(&key.len()));
     let detail = format!("The header Idempotency-Key must have 1 to {LONGEST_KEY} visible ASCII characters.");
@@ -246,7 +212,7 @@ fn accepted(job: &Job) -> Response {
     located(StatusCode::ACCEPTED, job)
 }
 
-fn located(status: StatusCode, job: &Job) -> Response {
+pub(super) fn located(status: StatusCode, job: &Job) -> Response {
     let mut response = views::job(status, job);
     if let Ok(path) = HeaderValue::from_str(&views::path(job)) {
         response.headers_mut().insert(header::LOCATION, path);

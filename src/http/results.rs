@@ -157,7 +157,13 @@ pub(super) async fn wall(State(state): State<AppState>, IdAndGate(id, gate): IdA
 }
 
 /// One stored result, or why there is none.
-async fn result(state: &AppState, id: Uuid, headers: &HeaderMap, media_type: &'static str, name: &str) -> Result<Response, Problem> {
+pub(super) async fn result(
+    state: &AppState,
+    id: Uuid,
+    headers: &HeaderMap,
+    media_type: &'static str,
+    name: &str,
+) -> Result<Response, Problem> {
     negotiate::acceptable(headers, media_type)?;
     if let Some(blob) = state.store.blob(id, name).await? {
         return Ok(send(headers, blob));

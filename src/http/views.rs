@@ -4,6 +4,7 @@ use super::problem::Problem;
 use crate::{
     assembly::Outcome,
     jobs::{Job, Page, State},
+    report::Summary,
 };
 use axum::{
     Json,
@@ -30,7 +31,7 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
     "progress": {"fraction": 0.42, "stage": "model_fit", "gates_done": 3, "gates_total": 8},
     "queue_position": null, "eta_seconds": 1.8, "attempt": 1, "cancel_requested": false, "study_instance_uid": null,
     "created_at": "2026-01-02T03:04:05Z", "started_at": "2026-01-02T03:04:06Z", "finished_at": null, "expires_at": null,
-    "error": null,
+    "input_kept": true, "error": null, "summary": null,
     "links": {
         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
@@ -39,7 +40,12 @@ pub(super) struct Binary(#[expect(dead_code, reason = "documents bodies that are
         "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
         "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
-        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
+        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir",
+        "slices": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/slices",
+        "wall": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/wall.vtu",
+        "endocardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/endocardial.stl",
+        "epicardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/epicardial.stl",
+        "again": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/again"
     }
 }))]
 pub struct JobView {
@@ -75,9 +81,14 @@ pub struct JobView {
     /// When it is deleted with all its data; null while it is not finished, and where it is kept until someone deletes it.
     #[schema(required, format = DateTime)]
     pub expires_at: Option<String>,
+    /// Whether its input is there: true until its end, and after it where it is kept (`keep_input`, `--keep-input`). Pictures of slices and `again` need it.
+    pub input_kept: bool,
     /// Why it failed; null unless `state` is `failed`.
     #[schema(required)]
     pub error: Option<Problem>,
+    /// The result in a few numbers; null unless `state` is `succeeded`, and in jobs of versions that did not store it.
+    #[schema(required)]
+    pub summary: Option<Summary>,
     /// Where everything about it is.
     pub links: Links,
 }
@@ -95,7 +106,12 @@ pub struct JobView {
         "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
         "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
-        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir"
+        "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir",
+        "slices": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/slices",
+        "wall": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/wall.vtu",
+        "endocardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/endocardial.stl",
+        "epicardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/epicardial.stl",
+        "again": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/again"
     }
 }))]
 pub struct CallbackView {
@@ -191,7 +207,7 @@ pub struct ProgressView {
     pub gates_total: u64,
 }
 
-/// Where everything about a job is, as paths on this server. All but `self` and `events` answer 409 until the job has succeeded.
+/// Where everything about a job is, as paths on this server. All but `self`, `events` and `again` answer 409 until the job has succeeded.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 pub struct Links {
     /// The job itself.
@@ -211,6 +227,16 @@ pub struct Links {
     pub sr: String,
     /// Its measurements as a FHIR bundle.
     pub fhir: String,
+    /// The contours of both surfaces on slices.
+    pub slices: String,
+    /// The wall of the first gate as tetrahedra; the others have their own number instead of 1.
+    pub wall: String,
+    /// The inner surface of the first gate as STL, likewise.
+    pub endocardial_stl: String,
+    /// The outer surface of the first gate as STL, likewise.
+    pub epicardial_stl: String,
+    /// Where a POST reconstructs the same study once more, while its input is kept.
+    pub again: String,
 }
 
 impl Links {
@@ -224,6 +250,11 @@ impl Links {
             page: format!("{this}/report.html"),
             sr: format!("{this}/sr.dcm"),
             fhir: format!("{this}/fhir"),
+            slices: format!("{this}/slices"),
+            wall: format!("{this}/gates/1/wall.vtu"),
+            endocardial_stl: format!("{this}/gates/1/endocardial.stl"),
+            epicardial_stl: format!("{this}/gates/1/epicardial.stl"),
+            again: format!("{this}/again"),
             this,
         }
     }
@@ -260,7 +291,9 @@ impl From<&Job> for JobView {
             started_at: job.started_at.map(|time| time.to_string()),
             finished_at: job.finished_at.map(|time| time.to_string()),
             expires_at: job.expires_at.map(|time| time.to_string()),
+            input_kept: job.input_kept,
             error: job.error.as_ref().map(Problem::from),
+            summary: job.summary.clone(),
             links: Links::of(job),
         }
     }

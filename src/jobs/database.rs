@@ -68,6 +68,7 @@ pub(super) enum Value {
     OptionalText(Option<String>),
     Bytes(Vec<u8>),
     OptionalBytes(Option<Vec<u8>>),
+    OptionalBoolean(Option<bool>),
 }
 
 /// A type both engines can read from a column.
@@ -89,6 +90,7 @@ macro_rules! bound {
                 Value::OptionalText(value) => query.bind(value),
                 Value::Bytes(value) => query.bind(value),
                 Value::OptionalBytes(value) => query.bind(value),
+                Value::OptionalBoolean(value) => query.bind(value),
             };
         }
         query
@@ -352,6 +354,7 @@ value_from! {
     Option<String> => OptionalText,
     Vec<u8> => Bytes,
     Option<Vec<u8>> => OptionalBytes,
+    Option<bool> => OptionalBoolean,
 }
 
 impl From<&str> for Value {

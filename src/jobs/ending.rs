@@ -16,9 +16,10 @@ const LONGEST_KEPT_MS: i64 = 1000 * 365 * 24 * 3600 * 1000;
 impl Store {
     /// To be called in every transaction that ends a job.
     pub(super) async fn end(&self, transaction: &mut Transaction, id: Uuid) -> Result<(), StoreError> {
-        if !self.inner.settings.keep_input {
-            transaction.execute("DELETE FROM blobs WHERE job_id = $1 AND name = $2", values![id, INPUT]).await?;
-        }
+        let kept = Some(self.inner.settings.keep_input);
+        let input = "DELETE FROM blobs WHERE job_id = $1 AND name = $2
+            AND EXISTS (SELECT 1 FROM jobs WHERE jobs.id = $1 AND NOT COALESCE(jobs.keep_input, $3))";
+        transaction.execute(input, values![id, INPUT, kept]).await?;
         // Without results there is nothing to file.
         let needless = "DELETE FROM blobs WHERE job_id = $1 AND name = $2
             AND EXISTS (SELECT 1 FROM jobs WHERE jobs.id = $1 AND jobs.state <> 'succeeded')";

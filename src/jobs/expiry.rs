@@ -24,7 +24,7 @@ impl Store {
         let sql = "DELETE FROM jobs WHERE state IN ('succeeded', 'failed', 'cancelled') AND id IN (
                 SELECT id FROM jobs WHERE expires_at <= {now} ORDER BY expires_at LIMIT $1 {skip_locked}
             )
-            RETURNING id";
+            RETURNING id, {notify}";
         let rows = self.inner.database.fetch(sql, values![JOBS_PER_STEP]).await?;
         let expired = rows.iter().map(|row| parse_id(&row.get::<String>(0)?)).collect::<Result<Vec<_>, _>>()?;
         for id in &expired {

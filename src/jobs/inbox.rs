@@ -279,6 +279,7 @@ impl Store {
         self.end(&mut transaction, id).await?;
         let job = self.get_in(&mut transaction, id).await?;
         transaction.commit().await?;
+        self.inner.watchers.announce(id);
         finished(State::Failed);
         Ok(Some(job))
     }

@@ -1,7 +1,7 @@
 //! What a caller sees of a job.
 
 use super::store::sha256;
-use crate::{pipeline::parameters::Parameters, study::Study, subject::Subject};
+use crate::{pipeline::parameters::Parameters, report::Summary, study::Study, subject::Subject};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
@@ -94,6 +94,10 @@ pub struct Job {
     pub study_instance_uid: Option<String>,
     /// Whether the job was asked to stop (it is still `running` until its worker has).
     pub cancel_requested: bool,
+    /// Whether its input is there: until its end, and after it where it is kept.
+    pub input_kept: bool,
+    /// What a list tells of its result; absent unless it succeeded, and in jobs of versions before this was stored.
+    pub summary: Option<Summary>,
 }
 
 /// The one owner of all jobs, as long as the service asks nobody for a key.
@@ -118,6 +122,19 @@ pub struct NewJob {
     pub retention: Option<std::time::Duration>,
     /// Who is told of its end.
     pub callback_url: Option<String>,
+    /// Whether the input is kept after the job's end, if not as that of others ([`super::StoreSettings::keep_input`]).
+    pub keep_input: Option<bool>,
+}
+
+/// The input of a job that is there, with what another job on it takes over.
+#[derive(Debug, Clone)]
+pub struct KeptInput {
+    /// The study, encoded (see [`super::input`]).
+    pub study: Vec<u8>,
+    /// Whom it is of, if that is kept.
+    pub subject: Option<Subject>,
+    /// What the job's request said of keeping it.
+    pub keep_input: Option<bool>,
 }
 
 /// The answer to a submission.

@@ -10,7 +10,7 @@ use super::{
     progress::Snapshot,
     queue::Load,
     store::{INPUT, Store, finished, insert_blob, intact, parse_id, sha256},
-    work::Output,
+    work::{Output, SUMMARY},
 };
 use std::{sync::Arc, time::Duration};
 use uuid::Uuid;
@@ -130,25 +130,27 @@ impl Store {
             Outcome::Cancelled => (State::Cancelled, Arc::default(), None),
         };
         let error = error.map(|error| serde_json::to_string(&error)).transpose().unwrap_or_default();
+        let summary = outputs.iter().find(|output| output.name == SUMMARY);
+        let summary = summary.map(|output| String::from_utf8_lossy(&output.data).into_owned());
         let hashed = Arc::clone(&outputs);
         let hashes = tokio::task::spawn_blocking(move || hashed.iter().map(|output| sha256(&output.data)).collect::<Vec<_>>())
             .await
             .map_err(|_| StoreError::Interrupted)?;
         let sql = self.inner.database.render(
             "UPDATE jobs SET state = CASE WHEN cancel_requested THEN 'cancelled' ELSE $3 END,
-                error = CASE WHEN cancel_requested THEN NULL ELSE $4 END,
+                error = CASE WHEN cancel_requested THEN NULL ELSE $4 END, summary = CASE WHEN NOT cancel_requested THEN $7 END,
                 progress = CASE WHEN $3 = 'succeeded' AND NOT cancel_requested THEN 1 ELSE $5 END, gates_done = $6,
                 stage = NULL, lease_owner = NULL, lease_until = NULL, finished_at = {now}, version = version + 1
             WHERE id = $1 AND attempts = $2 AND state = 'running'
             RETURNING state, finished_at - started_at, {notify}",
         );
         let mut transaction = self.inner.database.begin().await?;
-        let values = values![claim.id, claim.attempt, wanted.name(), error, last.fraction, last.gates_done as i64];
+        let values = values![claim.id, claim.attempt, wanted.name(), error, last.fraction, last.gates_done as i64, summary];
         let Some(row) = transaction.fetch_one(&sql, values).await? else { return Ok(Finish::Lost) };
         let state = State::from_name(&row.get::<String>(0)?).unwrap_or(wanted);
         let duration_s = row.get::<i64>(1)?.max(0) as f64 / 1e3;
         if state == State::Succeeded {
-            for (output, sha256) in outputs.iter().zip(hashes) {
+            for (output, sha256) in outputs.iter().zip(hashes).filter(|(output, _)| output.name != SUMMARY) {
                 insert_blob(&mut transaction, claim.id, &output.name, output.media_type, sha256, output.data.clone()).await?;
             }
         }

@@ -22,6 +22,7 @@
 //! | `input.rs` | the stored form of a study |
 //! | `database.rs`, `schema.rs` | one SQL text on two engines |
 //! | `watch.rs`, `listen.rs` | who waits for a change of which job, and who hears of those that other nodes make |
+//! | `feed.rs` | what everyone is told who listens to all jobs |
 
 mod backoff;
 mod compute;
@@ -30,6 +31,7 @@ mod deliveries;
 mod ending;
 mod error;
 mod expiry;
+mod feed;
 mod inbox;
 pub mod input;
 mod job;
@@ -48,8 +50,9 @@ mod worker;
 
 pub use deliveries::{Delivery, DeliveryClaim, DeliveryKind, Settled};
 pub use error::{QueueFull, StoreError, SubmitError};
+pub use feed::News;
 pub use inbox::{Filed, Members, NewInstance, Series, StoredInstance};
-pub use job::{ANONYMOUS, Blob, Counts, Deletion, Job, JobError, ListQuery, NewJob, Page, State, Submitted};
+pub use job::{ANONYMOUS, Blob, Counts, Deletion, Job, JobError, KeptInput, ListQuery, NewJob, Page, State, Submitted};
 pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
 pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;

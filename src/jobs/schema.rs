@@ -6,21 +6,23 @@ use super::{
 };
 
 /// The steps from nothing to the present schema; step `n` makes version `n + 1`. Released steps are never changed.
-const STEPS: [&str; 5] = [
+const STEPS: [&str; 6] = [
     include_str!("schema.sql"),
     include_str!("schema-2.sql"),
     include_str!("schema-3.sql"),
     include_str!("schema-4.sql"),
     include_str!("schema-5.sql"),
+    include_str!("schema-6.sql"),
 ];
 
 /// What PostgreSQL alone needs at each step.
-const POSTGRES_STEPS: [&str; 5] = [
+const POSTGRES_STEPS: [&str; 6] = [
     // Blobs are compressed formats or noise, so trying to compress them costs time only.
     "ALTER TABLE blobs ALTER COLUMN data SET STORAGE EXTERNAL",
     // Where inputs come and go, a fifth of all results (the default) is much to leave dead. A thirtieth is at most a day's, with results of a month.
     "ALTER TABLE blobs SET (autovacuum_vacuum_scale_factor = 0.03, toast.autovacuum_vacuum_scale_factor = 0.03)",
     "ALTER TABLE instances ALTER COLUMN data SET STORAGE EXTERNAL",
+    "",
     "",
     "",
 ];

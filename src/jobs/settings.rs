@@ -43,7 +43,7 @@ pub struct StoreSettings {
     /// Pause before a job whose worker was lost is tried again, times the attempts so far: others come first, should it be the job that kills
     /// workers, and a service that is killed again and again does not lose the same job each time.
     pub retry_pause: Duration,
-    /// Whether the input of a finished job is kept.
+    /// Whether the input of a finished job is kept if the job does not say.
     pub keep_input: bool,
     /// How long a finished job and its results are kept if the job does not say; `None`: until they are deleted.
     pub retention: Option<Duration>,

@@ -4,7 +4,8 @@
 use super::{
     database::{Database, Row, Transaction, values},
     error::{QueueFull, StoreError},
-    job::{Blob, Counts, Deletion, Job, ListQuery, Page, State},
+    feed::News,
+    job::{Blob, Counts, Deletion, Job, KeptInput, ListQuery, Page, State},
     listen,
     progress::Progress,
     queue::{Load, Queue, Reservation},
@@ -20,7 +21,11 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
-use tokio::{sync::Notify, task::AbortHandle, time::Instant};
+use tokio::{
+    sync::{Notify, broadcast},
+    task::AbortHandle,
+    time::Instant,
+};
 use uuid::Uuid;
 
 /// Name of the blob that holds the study.
@@ -31,7 +36,8 @@ pub(super) const SUBJECT: &str = "subject";
 /// What every read of a job selects. The place in the queue is counted only where there is one.
 const SELECT: &str = "
     SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, expires_at, error,
-        study_instance_uid, cancel_requested, {now} AS read_at,
+        study_instance_uid, cancel_requested, summary, {now} AS read_at,
+        EXISTS (SELECT 1 FROM blobs WHERE blobs.job_id = jobs.id AND blobs.name = 'input') AS input_kept,
         CASE WHEN state = 'queued' THEN (
             SELECT COUNT(*) FROM jobs AS ahead
             WHERE ahead.state = 'queued'
@@ -51,6 +57,8 @@ pub(super) struct Inner {
     pub(super) settings: StoreSettings,
     pub(super) queue: Arc<Queue>,
     pub(super) watchers: Watchers,
+    /// Who tells those that listen to all jobs, once somebody does.
+    pub(super) feed: OnceLock<broadcast::Sender<News>>,
     /// Told when a job may be claimed.
     pub(super) work_ready: Notify,
     /// What the workers of this process hold.
@@ -89,6 +97,7 @@ impl Store {
             settings,
             queue,
             watchers: Watchers::default(),
+            feed: OnceLock::new(),
             work_ready: Notify::new(),
             running: Mutex::default(),
             listener: OnceLock::new(),
@@ -213,6 +222,18 @@ impl Store {
         Subject::decode(&blob.data).map(Some).map_err(|error| StoreError::Damaged { what: format!("subject of job {id}: {error}") })
     }
 
+    /// The input of a job, as long as it is there.
+    pub async fn kept_input(&self, id: Uuid) -> Result<Option<KeptInput>, StoreError> {
+        let sql = "SELECT keep_input FROM jobs WHERE id = $1";
+        let Some(row) = self.inner.database.fetch_one(sql, values![id]).await? else { return Ok(None) };
+        let keep_input = row.get(0)?;
+        drop(row);
+        let subject = self.subject(id).await?;
+        // Last: where it is there, the job is as it was read.
+        let Some(study) = self.blob(id, INPUT).await? else { return Ok(None) };
+        Ok(Some(KeptInput { study: study.data, subject, keep_input }))
+    }
+
     /// Waits until the job's version differs from `seen_version`, the job is in a final state, or the time is over, whichever is
     /// first, and returns the job as it then is; `None` if there is no such job (any more).
     pub async fn wait_for_change(&self, id: Uuid, seen_version: i64, timeout: Duration) -> Result<Option<Job>, StoreError> {
@@ -291,6 +312,7 @@ impl Store {
             State::Succeeded | State::Failed | State::Cancelled => None,
         };
         let error = row.named::<Option<String>>("error")?;
+        let summary = row.named::<Option<String>>("summary")?;
         Ok(Job {
             id,
             state,
@@ -309,6 +331,8 @@ impl Store {
             error: error.map(|text| serde_json::from_str(&text)).transpose().map_err(|_| damaged("error"))?,
             study_instance_uid: row.named("study_instance_uid")?,
             cancel_requested: row.named("cancel_requested")?,
+            input_kept: row.named("input_kept")?,
+            summary: summary.map(|text| serde_json::from_str(&text)).transpose().map_err(|_| damaged("summary"))?,
         })
     }
 }

@@ -56,6 +56,7 @@ impl Store {
         transaction.commit().await?;
         reservation.into_queued(bytes);
         self.inner.work_ready.notify_one();
+        self.inner.watchers.announce(id);
         metrics::counter!("ventricle_jobs_submitted_total").increment(1);
         Ok(Submitted::Created(job))
     }
@@ -82,8 +83,8 @@ impl NewRow {
     async fn insert(mut self, store: &Store, transaction: &mut Transaction) -> Result<(), StoreError> {
         let sql = store.inner.database.render(
             "INSERT INTO jobs (id, owner, idempotency_key, request_hash, kind, parameters, study_instance_uid, input_bytes, state,
-                max_attempts, run_after, gates_total, created_at, retention_ms, callback_url)
-            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now}, $10, $11)
+                max_attempts, run_after, gates_total, created_at, retention_ms, callback_url, keep_input)
+            VALUES ($1, $2, $3, $4, 'reconstruction', $5, $6, $7, 'queued', $8, {now}, $9, {now}, $10, $11, $12)
             RETURNING {notify}",
         );
         let size = self.input.len() as i64;
@@ -99,6 +100,7 @@ impl NewRow {
             self.new.study.gates.len() as i64,
             self.new.retention.map(kept_ms),
             self.new.callback_url,
+            self.new.keep_input,
         ];
         transaction.fetch(&sql, values).await?;
         insert_blob(transaction, self.id, INPUT, input::MEDIA_TYPE, self.sha256, self.input).await?;

@@ -4,13 +4,23 @@ use std::{
     collections::HashMap,
     sync::{Mutex, MutexGuard, PoisonError},
 };
-use tokio::sync::watch;
+use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
 
+/// Changes that who watches all jobs may be behind.
+const BACKLOG: usize = 1024;
+
 /// The waiting callers of one process.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Watchers {
     by_job: Mutex<HashMap<Uuid, watch::Sender<()>>>,
+    all: broadcast::Sender<Option<Uuid>>,
+}
+
+impl Default for Watchers {
+    fn default() -> Self {
+        Self { by_job: Mutex::default(), all: broadcast::channel(BACKLOG).0 }
+    }
 }
 
 /// One waiting caller.
@@ -31,8 +41,15 @@ impl Watchers {
         Watcher { watchers: self, id, receiver: Some(receiver) }
     }
 
+    /// Sees which jobs change from now on; `None`: any may have.
+    pub(super) fn watch_all(&self) -> broadcast::Receiver<Option<Uuid>> {
+        self.all.subscribe()
+    }
+
     /// Any job may have changed.
     pub(super) fn announce_all(&self) {
+        // Nobody may be watching all jobs.
+        drop(self.all.send(None));
         for sender in self.by_job().values() {
             sender.send_replace(());
         }
@@ -40,6 +57,7 @@ impl Watchers {
 
     /// The job has changed.
     pub(super) fn announce(&self, id: Uuid) {
+        drop(self.all.send(Some(id)));
         if let Some(sender) = self.by_job().get(&id) {
             sender.send_replace(());
         }

@@ -5,7 +5,7 @@ use crate::{
     analysis::analyse,
     export::{ExportError, glb, vtu},
     pipeline::{self, PipelineError, Surface, monitor::Monitor, parameters::Parameters},
-    report::{self, PolarMaps, Timing},
+    report::{self, PolarMaps, Slices, Summary, Timing},
     study::Study,
 };
 use std::sync::Arc;
@@ -17,6 +17,10 @@ pub const REPORT: &str = "report";
 pub const SURFACES: &str = "surfaces.glb";
 /// Name of the polar maps among a job's blobs.
 pub const POLAR_MAPS: &str = "polar-maps";
+/// Name of the slices and contours among a job's blobs.
+pub const SLICES: &str = "slices";
+/// Name of the output that a list of jobs shows: no blob, but a part of the job.
+pub const SUMMARY: &str = "summary";
 /// Media type of binary glTF (glTF 2.0 §3.2).
 const GLB: &str = "model/gltf-binary";
 /// Media type of a VTK XML file, which has none of its own; `model/vnd.vtu` is registered for another vendor's format.
@@ -65,7 +69,7 @@ pub enum WorkError {
 /// What a worker does with a job. Runs inside the worker's own rayon pool; may panic.
 pub type Work = Arc<dyn Fn(&Study, &Parameters, Uuid, &Progress) -> Result<Vec<Output>, WorkError> + Send + Sync>;
 
-/// Reconstructs the study; the results are [`REPORT`] and [`POLAR_MAPS`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF),
+/// Reconstructs the study; the results are [`REPORT`], [`POLAR_MAPS`] and [`SLICES`] (JSON), [`SURFACES`] and both surfaces of every gate (binary glTF),
 /// and the wall of every gate (VTK).
 pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, progress: &Progress) -> Result<Vec<Output>, WorkError> {
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
@@ -74,10 +78,15 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     let analysis = analyse(study, &reconstruction);
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
     let report = report::build(&id.to_string(), study, &reconstruction, &analysis, &timing);
+    let summary = serde_json::to_vec(&Summary::of(&report)).map_err(|error| WorkError::Internal(format!("summary: {error}")))?;
     let report = serde_json::to_vec(&report).map_err(|error| WorkError::Internal(format!("report: {error}")))?;
     let maps = PolarMaps::of(&id.to_string(), &analysis);
     let maps = serde_json::to_vec(&maps).map_err(|error| WorkError::Internal(format!("polar maps: {error}")))?;
+    let slices = Slices::of(&id.to_string(), study, &reconstruction, &analysis);
+    let slices = serde_json::to_vec(&slices).map_err(|error| WorkError::Internal(format!("slices: {error}")))?;
     let mut outputs = vec![
+        Output { name: SUMMARY.to_owned(), media_type: "application/json", data: summary },
+        Output { name: SLICES.to_owned(), media_type: "application/json", data: slices },
         Output { name: REPORT.to_owned(), media_type: "application/json", data: report },
         Output { name: SURFACES.to_owned(), media_type: GLB, data: glb::cycle(study, &reconstruction, &analysis)? },
         Output { name: POLAR_MAPS.to_owned(), media_type: "application/json", data: maps },

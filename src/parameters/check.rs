@@ -5,8 +5,10 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use utoipa::PartialSchema;
 
-/// The field that is about the job and not about its numbers.
+/// The field that says how long a job is kept.
 const RETENTION: &str = "retention_seconds";
+/// The fields that are about the job and not about its numbers.
+const OF_THE_JOB: [&str; 2] = [RETENTION, "keep_input"];
 
 /// The schema of [`Request`] as plain JSON, without references: for a job that may be kept for so long, in s, or for a reconstruction that is
 /// nobody's job.
@@ -15,7 +17,7 @@ pub(super) fn schema(longest_retention_s: Option<u64>) -> Value {
     if let Some(fields) = schema["properties"].as_object_mut() {
         match longest_retention_s {
             Some(longest_s) => fields[RETENTION]["maximum"] = longest_s.into(),
-            None => drop(fields.remove(RETENTION)),
+            None => fields.retain(|name, _| !OF_THE_JOB.contains(&name.as_str())),
         }
     }
     schema
@@ -81,7 +83,7 @@ pub(super) fn check(value: &Value, schema: &Value, pointer: &str, complaints: &m
 }
 
 fn unknown(pointer: &str, schema: &Value) -> Complaint {
-    if pointer.strip_prefix('/') == Some(RETENTION) {
+    if pointer.strip_prefix('/').is_some_and(|name| OF_THE_JOB.contains(&name)) {
         let detail = format!("{} is for jobs of the service, which keeps them; here it changes nothing. Leave it out.", dotted(pointer));
         return Complaint { code: "unavailable_parameter", pointer: pointer.to_owned(), detail };
     }

@@ -47,6 +47,10 @@ pub struct Request {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 60)]
     pub retention_seconds: Option<u64>,
+    /// Not for the reconstruction but for its job: whether its input (counts and UIDs, no names) is kept after its end, as long as its results. Pictures of
+    /// slices and another job on the same input (`…/again`) need it. Left out it is as the service keeps all: usually not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keep_input: Option<bool>,
     /// Where a signed POST goes when the job has reached its final state (see the callback `jobEnded`). https, at most 2048 characters, without
     /// user name, password and fragment, to a public address or one that the operator allows; redirects are not followed. It changes nothing in the
     /// reconstruction. Left out: the operator's default, if there is one.

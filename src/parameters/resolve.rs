@@ -16,6 +16,7 @@ const PLANE_TIME_STEP_S: f64 = 0.05;
 pub fn resolve(mut request: Request) -> Result<chosen::Parameters, ParameterError> {
     // Of the job, not of the numbers.
     request.retention_seconds = None;
+    request.keep_input = None;
     let written = serde_json::to_value(&request).map_err(|error| ParameterError::one("invalid_parameter", "", format!("{error}.")))?;
     parse(&written)?;
     let mut out = match request.preset.unwrap_or(Preset::Clinical) {

@@ -12,6 +12,8 @@ mod regional;
 #[expect(clippy::module_inception, reason = "the report is what the module is named for; other forms of it are its siblings")]
 mod report;
 mod schema;
+mod slices;
+mod summary;
 mod uncertainty;
 mod wall;
 mod wall_function;
@@ -31,6 +33,8 @@ pub use report::{
     Report, SCHEMA, Software, StudySummary, Timing, TimingReport, build,
 };
 pub use schema::PublishedSchema;
+pub use slices::{PlaneName, Slices};
+pub use summary::Summary;
 pub use uncertainty::{ErrorSummary, HALF_WIDTH_95, UncertaintySummary};
 pub use wall::WallSummary;
 pub use wall_function::{PerfusionSummary, PhaseSummary, ShapeReport, ShapeSummary};

@@ -179,6 +179,7 @@ pub(crate) fn new_job() -> NewJob {
         study: study(),
         parameters: Parameters::paper(),
         retention: None,
+        keep_input: None,
         callback_url: None,
     }
 }
