@@ -62,7 +62,6 @@ pub enum PlaneName {
 pub struct SlicePlane {
     /// `short_axis`: across the ventricle's axis, the apex first, the anterior wall up and the septum left. `long_axis`: two planes through the
     /// axis (`views`). `acquired`: the input's own slices.
-    #[schema(inline)]
     pub plane: PlaneName,
     /// Number of slices.
     pub slices: usize,
@@ -105,7 +104,6 @@ pub struct SlicePlane {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LongAxisView {
     /// `horizontal` or `vertical`.
-    #[schema(inline)]
     pub view: ViewName,
     /// Middle of the first pixel, `[x, y, z]` in grid mm.
     pub origin_mm: [f64; 3],

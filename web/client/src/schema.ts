@@ -175,6 +175,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/phantom.dcm": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Reads a study to try the service with.
+         * @description A simulated beating ventricle as a DICOM file of a gated study, the one that `ventricle demo` posts: to be submitted as any other. The same bytes each time.
+         */
+        get: operations["getPhantom"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/reconstructions": {
         parameters: {
             query?: never;
@@ -193,6 +213,28 @@ export interface paths {
          *     same job, as long as that is there: when it was deleted or has expired, the key is free again.
          */
         post: operations["submitReconstruction"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/reconstructions/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Follows all reconstructions.
+         * @description Server-sent events. `hello` (an empty object) comes first, and again when changes may have been missed: read the list now, what happens later will be told.
+         *     `job`: a job is new or has changed; the data is the job as in the list. `deleted`: a job is gone; the data is its `id`. A change may be
+         *     told twice; `state` and `progress` are those of when it was told. The stream does not end by itself, and has no past: `Last-Event-ID` is not looked at.
+         */
+        get: operations["followReconstructions"];
+        put?: never;
+        post?: never;
         delete?: never;
         options?: never;
         head?: never;
@@ -221,6 +263,28 @@ export interface paths {
          *     deleted with all its data (204).
          */
         delete: operations["deleteReconstruction"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/reconstructions/{id}/again": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Reconstructs the same study once more.
+         * @description A new job on the input of an earlier one, while that is kept (`input_kept`). The body has parameters as a submission's, or is empty; what is left
+         *     out has the preset's value, not that of the earlier job. Only `keep_input` is then as in the request of the earlier job. All else is as for a
+         *     submission: 202 means that the job is stored, and an `Idempotency-Key` makes the request safe to repeat.
+         */
+        post: operations["reconstructAgain"];
+        delete?: never;
         options?: never;
         head?: never;
         patch?: never;
@@ -405,6 +469,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/reconstructions/{id}/gates/{gate}/slices.png": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Draws the counts on the slices of one gate.
+         * @description All slices of the plane in the order of `slices`, one under another: a PNG of 8-bit grey, `width` × `height` · `slices` pixels, from 0 (black) to
+         *     `white_counts` (white), the same for all gates. Made from the input, so only while that is kept (`input_kept`).
+         */
+        get: operations["getSlicesImage"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/reconstructions/{id}/gates/{gate}/wall.vtu": {
         parameters: {
             query?: never;
@@ -511,6 +596,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/reconstructions/{id}/slices": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Reads the contours on slices.
+         * @description Where both surfaces cut slices of the study at every gate: short-axis slices and two long-axis planes laid about the ventricle, and the input's own.
+         *     The counts under them are `gates/{gate}/slices.png`, while the input is kept.
+         */
+        get: operations["getSlices"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/reconstructions/{id}/sr.dcm": {
         parameters: {
             query?: never;
@@ -548,38 +654,6 @@ export interface paths {
         get: operations["getSurfaces"];
         put?: never;
         post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/v1/reconstructions/{id}/slices": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get: operations["getSlices"];
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/v1/reconstructions/{id}/again": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        put?: never;
-        post: operations["again"];
         delete?: never;
         options?: never;
         head?: never;
@@ -719,14 +793,19 @@ export interface components {
          *       "finished_at": "2026-01-02T03:04:09Z",
          *       "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
          *       "links": {
+         *         "again": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/again",
+         *         "endocardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/endocardial.stl",
+         *         "epicardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/epicardial.stl",
          *         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
          *         "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir",
          *         "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
          *         "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
          *         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
          *         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
+         *         "slices": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/slices",
          *         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
-         *         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+         *         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+         *         "wall": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/wall.vtu"
          *       },
          *       "state": "failed",
          *       "version": 9
@@ -1006,6 +1085,17 @@ export interface components {
             /** @description Single particles. */
             particles: components["schemas"]["ParticleDistances"][];
         };
+        /** @description What lies at the edges of a picture. */
+        EdgeLabels: {
+            /** @description At the left edge. */
+            left: string;
+            /** @description At the right edge. */
+            right: string;
+            /** @description At the top. */
+            top: string;
+            /** @description At the bottom. */
+            bottom: string;
+        };
         /** @description The uncertainty of one value. */
         ErrorSummary: {
             /**
@@ -1102,6 +1192,11 @@ export interface components {
             /** @description The gate of the ESV, counted from 1; the first of equals. */
             end_systolic_gate: number;
         };
+        /** @description The contours of one gate. */
+        GateContours: {
+            /** @description Those of each slice, the first slice first. */
+            slices: components["schemas"]["SliceContours"][];
+        };
         /** @description The model's numbers for one gate. */
         GateModel: {
             /**
@@ -1188,15 +1283,21 @@ export interface components {
          *       "expires_at": null,
          *       "finished_at": null,
          *       "id": "0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
+         *       "input_kept": true,
          *       "links": {
+         *         "again": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/again",
+         *         "endocardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/endocardial.stl",
+         *         "epicardial_stl": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/epicardial.stl",
          *         "events": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/events",
          *         "fhir": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/fhir",
          *         "page": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report.html",
          *         "polar_maps": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/polar-maps",
          *         "report": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/report",
          *         "self": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11",
+         *         "slices": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/slices",
          *         "sr": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/sr.dcm",
-         *         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb"
+         *         "surfaces": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/surfaces.glb",
+         *         "wall": "/v1/reconstructions/0199f3a2-7c1e-7d10-9a57-3f0c8e4d2b11/gates/1/wall.vtu"
          *       },
          *       "progress": {
          *         "fraction": 0.42,
@@ -1207,7 +1308,8 @@ export interface components {
          *       "queue_position": null,
          *       "started_at": "2026-01-02T03:04:06Z",
          *       "state": "running",
-         *       "study_instance_uid": null
+         *       "study_instance_uid": null,
+         *       "summary": null
          *     }
          */
         Job: {
@@ -1259,11 +1361,12 @@ export interface components {
              * @description When it is deleted with all its data; null while it is not finished, and where it is kept until someone deletes it.
              */
             expires_at: string | null;
+            /** @description Whether its input is there: true until its end, and after it where it is kept (`keep_input`, `--keep-input`). Pictures of slices and `again` need it. */
+            input_kept: boolean;
             error: components["schemas"]["Problem"] | null;
+            summary: components["schemas"]["Summary"] | null;
             /** @description Where everything about it is. */
             links: components["schemas"]["Links"];
-            summary: components["schemas"]["JobSummary"] | null;
-            input_kept: boolean;
         };
         /** @description Reconstructions, newest first. */
         JobList: {
@@ -1320,7 +1423,7 @@ export interface components {
             counts: string;
             parameters?: components["schemas"]["Parameters"] | null;
         };
-        /** @description Where everything about a job is, as paths on this server. All but `self` and `events` answer 409 until the job has succeeded. */
+        /** @description Where everything about a job is, as paths on this server. All but `self`, `events` and `again` answer 409 until the job has succeeded. */
         Links: {
             /** @description The job itself. */
             self: string;
@@ -1338,8 +1441,31 @@ export interface components {
             sr: string;
             /** @description Its measurements as a FHIR bundle. */
             fhir: string;
+            /** @description The contours of both surfaces on slices. */
             slices: string;
+            /** @description The wall of the first gate as tetrahedra; the others have their own number instead of 1. */
+            wall: string;
+            /** @description The inner surface of the first gate as STL, likewise. */
+            endocardial_stl: string;
+            /** @description The outer surface of the first gate as STL, likewise. */
+            epicardial_stl: string;
+            /** @description Where a POST reconstructs the same study once more, while its input is kept. */
             again: string;
+        };
+        /**
+         * @description A plane through the ventricle's axis, the apex up, as in the apical views of echocardiography (Lang et al., J Am Soc Echocardiogr
+         *     2015;28:1-39): `horizontal` (of four chambers) has the septum left and the lateral wall right, `vertical` (of two chambers) the inferior
+         *     wall left and the anterior wall right.
+         */
+        LongAxisView: {
+            view: components["schemas"]["ViewName"];
+            /** @description Middle of the first pixel, `[x, y, z]` in grid mm. */
+            origin_mm: number[];
+            /** @description Unit vector to the right in the grid. */
+            right: number[];
+            /** @description Unit vector down in the grid. */
+            down: number[];
+            labels: components["schemas"]["EdgeLabels"] | null;
         };
         /** @description The model of how the camera blurs a wall of this shape, fitted to the counts of all gates at once. */
         ModelSummary: {
@@ -1717,13 +1843,17 @@ export interface components {
              */
             retention_seconds?: number | null;
             /**
+             * @description Not for the reconstruction but for its job: whether its input (counts and UIDs, no names) is kept after its end, as long as its results. Pictures of
+             *     slices and another job on the same input (`…/again`) need it. Left out it is as the service keeps all: usually not.
+             */
+            keep_input?: boolean | null;
+            /**
              * @description Where a signed POST goes when the job has reached its final state (see the callback `jobEnded`). https, at most 2048 characters, without
              *     user name, password and fragment, to a public address or one that the operator allows; redirects are not followed. It changes nothing in the
              *     reconstruction. Left out: the operator's default, if there is one.
              * @example https://receiver.example/ventricle
              */
             callback_url?: string | null;
-            keep_input?: boolean | null;
         };
         /** @description One particle's distance to the border over time. */
         ParticleDistances: {
@@ -2276,6 +2406,68 @@ export interface components {
             end_diastole: components["schemas"]["ShapeReport"];
             end_systole: components["schemas"]["ShapeReport"] | null;
         };
+        /** @description The contours in one slice: lines of points `[x, y]` in pixels. None where a surface does not reach the slice. */
+        SliceContours: {
+            /** @description Of the inner surface. */
+            endocardial: number[][][];
+            /** @description Of the outer surface. */
+            epicardial: number[][][];
+        };
+        /** @description Parallel slices, or the two planes of the long axis. */
+        SlicePlane: {
+            plane: components["schemas"]["PlaneName"];
+            /** @description Number of slices. */
+            slices: number;
+            /** @description Pixels of a slice from left to right. */
+            width: number;
+            /** @description Pixels of a slice from top to bottom. */
+            height: number;
+            /** @description Size of a pixel to the right and down, in mm. */
+            pixel_mm: number[];
+            /**
+             * Format: double
+             * @description Distance between slices in mm; null for `long_axis`.
+             */
+            slice_mm: number | null;
+            /** @description Middle of the first pixel of the first slice, `[x, y, z]` in grid mm; null for `long_axis`. */
+            origin_mm: number[] | null;
+            /** @description Unit vector to the right in the grid; null for `long_axis`. */
+            right: number[] | null;
+            /** @description Unit vector down in the grid; null for `long_axis`. */
+            down: number[] | null;
+            /** @description Unit vector from slice to slice in the grid; null for `long_axis`. */
+            through: number[] | null;
+            /** @description The two planes of `long_axis`, in the order of its slices; null for the others. */
+            views: components["schemas"]["LongAxisView"][] | null;
+            labels: components["schemas"]["EdgeLabels"] | null;
+            /** @description The contours of each gate, the first gate first. */
+            gates: components["schemas"]["GateContours"][];
+        };
+        /**
+         * @description Slices in three directions, and where both surfaces cut them at every gate.
+         *
+         *     A point `[x, y]` of a contour is in pixels, whole numbers at the pixels' middles; it lies at `origin_mm` + x · `pixel_mm[0]` · `right`
+         *     + y · `pixel_mm[1]` · `down` + slice · `slice_mm` · `through` in grid mm (slice from 0). Contours are closed lines that end with the point that
+         *     they begin with; that of a surface is the cut of its whole mesh, valve plane included.
+         */
+        Slices: {
+            /**
+             * @description Version of this shape: `ventricle.slices/1`. Fields may be added under the same version.
+             * @example ventricle.slices/1
+             */
+            schema: string;
+            /** @description The reconstruction's id. */
+            id: string;
+            /** @description Number of gates. */
+            gates: number;
+            /**
+             * Format: double
+             * @description Counts that the pictures show as white, in all gates and planes: twice the brightest on the outer surface, at most the brightest of all.
+             */
+            white_counts: number;
+            /** @description `short_axis`, `long_axis` and `acquired`. */
+            planes: components["schemas"]["SlicePlane"][];
+        };
         /** @description The program that made a report. */
         Software: {
             /** @description Always `ventricle`. */
@@ -2365,6 +2557,36 @@ export interface components {
             rr_window_ms: number[] | null;
             /** @description Whether beats were sorted by their length, if the header tells (DICOM Beat Rejection Flag). */
             beat_rejection: boolean | null;
+        };
+        /** @description What a list tells of a result. Volumes are null for an ungated study. */
+        Summary: {
+            /**
+             * Format: double
+             * @description End-diastolic volume in ml.
+             */
+            edv_ml: number | null;
+            /**
+             * Format: double
+             * @description End-systolic volume in ml.
+             */
+            esv_ml: number | null;
+            /**
+             * Format: double
+             * @description Ejection fraction in percent.
+             */
+            ef_percent: number | null;
+            /**
+             * Format: double
+             * @description Mass of the left ventricle's wall in g.
+             */
+            mass_g: number;
+            /**
+             * Format: double
+             * @description `quality.score` of the report, 0-1.
+             */
+            quality_score: number;
+            /** @description `quality.flags` of the report: stable codes, none where nothing speaks against the result. */
+            flags: string[];
         };
         /** @description How both surfaces of a gate were reached. */
         SurfaceFits: {
@@ -2456,53 +2678,10 @@ export interface components {
              */
             thickness_definition: string;
         };
-        SliceContours: {
-            endocardial: number[][][];
-            epicardial: number[][][];
-        };
-        GateSlices: {
-            slices: components["schemas"]["SliceContours"][];
-        };
-        SliceView: {
-            origin_mm: number[];
-            right: number[];
-            down: number[];
-        };
-        SlicePlane: {
-            /** @enum {string} */
-            plane: "short_axis" | "long_axis" | "acquired";
-            slices: number;
-            width: number;
-            height: number;
-            pixel_mm: number[];
-            slice_mm: number | null;
-            origin_mm: number[];
-            right: number[];
-            down: number[];
-            through: number[];
-            labels: {
-                left: string;
-                right: string;
-                top: string;
-                bottom: string;
-            } | null;
-            gates: components["schemas"]["GateSlices"][];
-        };
-        Slices: {
-            schema: string;
-            id: string;
-            gates: number;
-            white_counts: number;
-            planes: components["schemas"]["SlicePlane"][];
-        };
-        JobSummary: {
-            edv_ml: number | null;
-            esv_ml: number | null;
-            ef_percent: number | null;
-            mass_g: number | null;
-            quality_score: number | null;
-            flags: string[];
-        };
+        /** @enum {string} */
+        PlaneName: "short_axis" | "long_axis" | "acquired";
+        /** @enum {string} */
+        ViewName: "horizontal" | "vertical";
     };
     responses: never;
     parameters: never;
@@ -2972,6 +3151,47 @@ export interface operations {
             };
         };
     };
+    getPhantom: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description `ETag` of the copy at hand */
+                "If-None-Match"?: string | null;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description DICOM file */
+            200: {
+                headers: {
+                    /** @description SHA-256 of the body */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/dicom": components["schemas"]["Binary"];
+                };
+            };
+            /** @description The copy at hand is still right */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     listReconstructions: {
         parameters: {
             query?: {
@@ -3171,6 +3391,44 @@ export interface operations {
             };
         };
     };
+    followReconstructions: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The stream; the data of each event `job` is a job */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "text/event-stream": components["schemas"]["Job"];
+                };
+            };
+            /** @description `Accept` excludes `text/event-stream` */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     getReconstruction: {
         parameters: {
             query?: never;
@@ -3279,6 +3537,142 @@ export interface operations {
             /** @description No such reconstruction */
             404: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    reconstructAgain: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Up to 255 visible ASCII characters of the client's choice, one for each request meant. */
+                "Idempotency-Key"?: string | null;
+            };
+            path: {
+                /** @description Id of the earlier reconstruction */
+                id: string;
+            };
+            cookie?: never;
+        };
+        /** @description Parameters; may be left out */
+        requestBody?: {
+            content: {
+                "application/json": components["schemas"]["Parameters"] | null;
+            };
+        };
+        responses: {
+            /** @description The job that an earlier request with the same `Idempotency-Key` made */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Job"];
+                };
+            };
+            /** @description Accepted and stored; `Location` leads to the job */
+            202: {
+                headers: {
+                    /** @description Path of the job */
+                    Location?: string;
+                    /** @description Seconds until looking is worth it */
+                    "Retry-After"?: number;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Job"];
+                };
+            };
+            /** @description The body is not JSON */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No such reconstruction */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description `Accept` excludes JSON */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body came too slowly */
+            408: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description `input_not_kept`: send the study again, with `keep_input` */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Larger than parameters are */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A body with a `Content-Encoding` */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Parameters unknown or out of range, marks outside of the study, idempotency key used for another request */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The queue is full or the service is stopping; `Retry-After` says when to try again */
+            503: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: number;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3925,6 +4319,91 @@ export interface operations {
             };
         };
     };
+    getSlicesImage: {
+        parameters: {
+            query?: {
+                /** @description Which slices. */
+                plane?: ("short_axis" | "long_axis" | "acquired") & Record<string, never>;
+            };
+            header?: {
+                /** @description `ETag` of the copy at hand */
+                "If-None-Match"?: string | null;
+            };
+            path: {
+                /** @description Id of the reconstruction */
+                id: string;
+                /** @description Gate, counted from 1 */
+                gate: number;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The picture */
+            200: {
+                headers: {
+                    /** @description SHA-256 of the body */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": components["schemas"]["Binary"];
+                };
+            };
+            /** @description The copy at hand is still right */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No such plane */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No such reconstruction or gate */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description `Accept` excludes PNG */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not finished, failed or cancelled; or `input_not_kept`: the counts are no longer there */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     getWall: {
         parameters: {
             query?: never;
@@ -4283,6 +4762,77 @@ export interface operations {
             };
         };
     };
+    getSlices: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description `ETag` of the copy at hand */
+                "If-None-Match"?: string | null;
+            };
+            path: {
+                /** @description Id of the reconstruction */
+                id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Geometry and contours */
+            200: {
+                headers: {
+                    /** @description SHA-256 of the body */
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Slices"];
+                };
+            };
+            /** @description The copy at hand is still right */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No such reconstruction, or one of a version that stored none (`no_such_result`) */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description `Accept` excludes JSON */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not finished, failed or cancelled */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     getStructuredReport: {
         parameters: {
             query?: never;
@@ -4407,68 +4957,6 @@ export interface operations {
                 };
             };
             /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    getSlices: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Slices"];
-                };
-            };
-            default: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    again: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: {
-            content: {
-                "application/json": components["schemas"]["Parameters"];
-            };
-        };
-        responses: {
-            202: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Job"];
-                };
-            };
             default: {
                 headers: {
                     [name: string]: unknown;

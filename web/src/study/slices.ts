@@ -48,8 +48,8 @@ export function slicesPanel(shown: Shown): HTMLElement {
     small.forEach((canvas, index) => drawSlice(canvas, plane, index, gate, counts, window, contours.checked));
   };
   const tell = (): void => {
-    const name = plane.plane === "long_axis" ? [t("slices.horizontal"), t("slices.vertical")][slice] : undefined;
-    said.textContent = name ?? t("slices.sliceOf", { slice: slice + 1, slices: plane.slices });
+    const view = plane.views?.[slice]?.view;
+    said.textContent = view !== undefined ? told("slices", view) : t("slices.sliceOf", { slice: slice + 1, slices: plane.slices });
     position.setAttribute("aria-valuetext", said.textContent);
     const gate = shown.cycle.gate.get();
     large.setAttribute("aria-label", t("slices.picture", { plane: told("slices", plane.plane), slice: slice + 1, slices: plane.slices, gate }));
@@ -117,12 +117,7 @@ export function slicesPanel(shown: Shown): HTMLElement {
 
 /** The walls' names around the picture, where they are known. */
 function wallsOf(plane: Plane, slice: number): HTMLElement[] {
-  const labels = "views" in plane && plane.labels === null ? labelsOfView(plane, slice) : plane.labels;
+  const labels = plane.labels ?? plane.views?.[slice]?.labels;
   if (!labels) return [];
   return (["left", "right", "top", "bottom"] as const).map((side) => h("span", { class: side }, told("wall", labels[side])));
-}
-
-function labelsOfView(plane: Plane, slice: number): Plane["labels"] {
-  const views = (plane as { views?: { labels?: Plane["labels"] }[] | null }).views;
-  return views?.[slice]?.labels ?? null;
 }
