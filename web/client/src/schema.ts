@@ -1458,6 +1458,7 @@ export interface components {
          *     wall left and the anterior wall right.
          */
         LongAxisView: {
+            /** @description `horizontal` or `vertical`. */
             view: components["schemas"]["ViewName"];
             /** @description Middle of the first pixel, `[x, y, z]` in grid mm. */
             origin_mm: number[];
@@ -1942,6 +1943,11 @@ export interface components {
              */
             counted_percent: number;
         };
+        /**
+         * @description A direction of slices.
+         * @enum {string}
+         */
+        PlaneName: "short_axis" | "long_axis" | "acquired";
         /** @description The map of one quantity. */
         PolarMap: {
             /**
@@ -2415,6 +2421,10 @@ export interface components {
         };
         /** @description Parallel slices, or the two planes of the long axis. */
         SlicePlane: {
+            /**
+             * @description `short_axis`: across the ventricle's axis, the apex first, the anterior wall up and the septum left. `long_axis`: two planes through the
+             *     axis (`views`). `acquired`: the input's own slices.
+             */
             plane: components["schemas"]["PlaneName"];
             /** @description Number of slices. */
             slices: number;
@@ -2651,6 +2661,11 @@ export interface components {
             /** @description Of the mass in g. */
             mass_g: components["schemas"]["ErrorSummary"];
         };
+        /**
+         * @description The planes of the long axis.
+         * @enum {string}
+         */
+        ViewName: "horizontal" | "vertical";
         /** @description The wall between the surfaces of a gate as tetrahedra (`gates/{n}/wall.vtu`). */
         WallSummary: {
             /** @description Number of tetrahedra, three for each triangle of a surface. */
@@ -2678,10 +2693,6 @@ export interface components {
              */
             thickness_definition: string;
         };
-        /** @enum {string} */
-        PlaneName: "short_axis" | "long_axis" | "acquired";
-        /** @enum {string} */
-        ViewName: "horizontal" | "vertical";
     };
     responses: never;
     parameters: never;
