@@ -119,7 +119,7 @@ export const de = {
   "model.home": "Ansicht zurücksetzen",
   "model.ar": "Im Raum ansehen (AR)",
   "model.vr": "In VR ansehen",
-  "model.legend": "Skala: {quantity}, {low} bis {high} {unit}",
+  "model.legend": "Skala: {quantity}, {low} bis {high}",
   "model.hover": "Zeigen Sie auf die Wand, um ihre Werte zu lesen.",
   "model.noValue": "kein Wert",
 

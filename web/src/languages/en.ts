@@ -119,7 +119,7 @@ export const en = {
   "model.home": "Reset view",
   "model.ar": "View in your room (AR)",
   "model.vr": "View in VR",
-  "model.legend": "Scale: {quantity}, {low} to {high} {unit}",
+  "model.legend": "Scale: {quantity}, {low} to {high}",
   "model.hover": "Point at the wall to read its values.",
   "model.noValue": "no value",
 

@@ -119,7 +119,7 @@ export const es = {
   "model.home": "Restablecer vista",
   "model.ar": "Ver en su habitación (RA)",
   "model.vr": "Ver en RV",
-  "model.legend": "Escala: {quantity}, de {low} a {high} {unit}",
+  "model.legend": "Escala: {quantity}, de {low} a {high}",
   "model.hover": "Señale la pared para leer sus valores.",
   "model.noValue": "sin valor",
 

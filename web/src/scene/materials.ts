@@ -13,7 +13,7 @@ export interface Paint {
 }
 
 /** Plain colours: blood red inside, a pale wall outside; grey where there is no wall. */
-const ENDOCARDIAL = new Color(0xc0392f);
+const ENDOCARDIAL = new Color(0xb3261e);
 const EPICARDIAL = new Color(0xe9cdb6);
 const LID = new Color(0x8d969e);
 /** How much of the pale outer surface is seen when it is translucent. */

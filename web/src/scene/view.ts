@@ -39,9 +39,9 @@ export function createView(canvas: HTMLCanvasElement, model: Model, signal: Abor
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
   const scene = new Scene();
   const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1, 0.005, 20);
-  scene.add(model.root, new HemisphereLight(0xffffff, 0x8a93a0, 1.9), camera);
+  scene.add(model.root, new HemisphereLight(0xffffff, 0x6f7a86, 1.5), camera);
   model.root.position.set(0, 0, 0);
-  const lamp = new DirectionalLight(0xffffff, 1.9);
+  const lamp = new DirectionalLight(0xffffff, 1.5);
   lamp.position.set(0.4, 0.7, 1);
   camera.add(lamp);
   const painted = paint(model);

@@ -2,7 +2,7 @@ import { number, t, told } from "../languages/index.ts";
 import { h, svg } from "../page/dom.ts";
 import { middleOf, RINGS, SEGMENTS } from "../scene/segments.ts";
 import type { PolarMaps } from "../../client/src/index.ts";
-import { decimalsOf, type Shown, written } from "./shared.ts";
+import { decimalsOf, type Shown, withUnit } from "./shared.ts";
 
 type PolarMap = PolarMaps["maps"][number];
 
@@ -38,7 +38,7 @@ export function bullsEye(map: PolarMap, shown: Shown): HTMLElement {
 function segmentOf(segment: number, map: PolarMap, shown: Shown): SVGGElement {
   const value = map.segments[segment - 1] ?? null;
   const text = value === null ? "–" : number(value, value > -10 && value < 10 ? decimalsOf(map.unit) : 0);
-  const full = value === null ? t("model.noValue") : `${number(value, decimalsOf(map.unit))} ${written(map.unit)}`;
+  const full = value === null ? t("model.noValue") : withUnit(number(value, decimalsOf(map.unit)), map.unit);
   const label = t("maps.segment", { number: segment, name: told("segment", String(segment)), value: full });
   const { radius, degrees } = middleOf(segment);
   const [x, y] = place(radius, degrees);

@@ -1,7 +1,7 @@
 import { number, t, told } from "../languages/index.ts";
 import { h } from "../page/dom.ts";
 import { bullsEye } from "./bulls-eye.ts";
-import { decimalsOf, type Shown, written } from "./shared.ts";
+import { decimalsOf, type Shown, withUnit } from "./shared.ts";
 
 /** The polar maps of all quantities; one of them may colour the model. */
 export function mapsPanel(shown: Shown): HTMLElement {
@@ -24,7 +24,6 @@ function mapOf(map: Shown["maps"]["maps"][number], shown: Shown): HTMLElement {
   const colour = h("button", { type: "button", class: "quiet", "aria-pressed": "false" }, t("maps.colour"));
   colour.addEventListener("click", () => shown.quantity.set(shown.quantity.get() === map.quantity ? null : map.quantity));
   const [low = 0, high = 0] = map.range;
-  const unit = written(map.unit);
   const bar = h("span", { class: "bar" });
   const colours = shown.model.variants.find((variant) => variant.name === map.quantity)?.colours ?? [];
   bar.style.background = `linear-gradient(to right, ${colours.join(", ")})`;
@@ -33,7 +32,7 @@ function mapOf(map: Shown["maps"]["maps"][number], shown: Shown): HTMLElement {
     { class: "map" },
     h("figcaption", {}, title),
     bullsEye(map, shown),
-    h("div", { class: "legend" }, h("span", {}, number(low)), bar, h("span", {}, `${number(high)} ${unit}`)),
+    h("div", { class: "legend" }, h("span", {}, number(low)), bar, h("span", {}, withUnit(number(high), map.unit))),
     colour,
   );
   shown.quantity.watch((now) => {
@@ -49,7 +48,7 @@ function mapOf(map: Shown["maps"]["maps"][number], shown: Shown): HTMLElement {
 function sentence(shown: Shown, segment: number): string {
   const parts = shown.maps.maps.map((map) => {
     const value = map.segments[segment - 1] ?? null;
-    const text = value === null ? t("model.noValue") : `${number(value, decimalsOf(map.unit))} ${written(map.unit)}`;
+    const text = value === null ? t("model.noValue") : withUnit(number(value, decimalsOf(map.unit)), map.unit);
     return `${told("quantity", map.quantity)} ${text}`;
   });
   return t("maps.segment", { number: segment, name: told("segment", String(segment)), value: parts.join(" · ") });

@@ -4,7 +4,7 @@ import { box } from "../page/trouble.ts";
 import { type Hit, valueAt } from "../scene/pick.ts";
 import { createView, type View } from "../scene/view.ts";
 import { spaceButtons } from "../scene/space.ts";
-import { decimalsOf, type Shown, written } from "./shared.ts";
+import { decimalsOf, type Shown, withUnit } from "./shared.ts";
 
 /** Degrees that an arrow key turns, and how much a key zooms. */
 const TURN_DEGREES = 8;
@@ -103,11 +103,11 @@ function legendOf(shown: Shown, view: View): HTMLElement {
     show(legend, variant !== null);
     if (variant === null) return;
     const [low, high] = variant.range;
-    const unit = written(variant.unit);
+    const top = withUnit(number(high), variant.unit);
     const bar = h("span", { class: "bar" });
     bar.style.background = `linear-gradient(to right, ${variant.colours.join(", ")})`;
-    legend.setAttribute("aria-label", t("model.legend", { quantity: told("quantity", variant.name), low, high, unit }));
-    legend.replaceChildren(h("span", {}, `${number(low)}`), bar, h("span", {}, `${number(high)} ${unit}`));
+    legend.setAttribute("aria-label", t("model.legend", { quantity: told("quantity", variant.name), low: number(low), high: top }));
+    legend.replaceChildren(h("span", {}, number(low)), bar, h("span", {}, top));
   }, shown.signal);
   return legend;
 }
@@ -188,8 +188,7 @@ function readingOf(shown: Shown, hit: Hit): string {
   const place = hit.segment === null ? "" : `${hit.segment} ${told("segment", String(hit.segment))}`;
   if (variant === undefined) return place;
   const value = valueAt(hit.anchor, variant, shown.model.noValue);
-  const unit = written(variant.unit);
-  const text = value === null ? t("model.noValue") : `${number(value, decimalsOf(variant.unit))} ${unit}`;
+  const text = value === null ? t("model.noValue") : withUnit(number(value, decimalsOf(variant.unit)), variant.unit);
   return place === "" ? text : `${place}: ${text}`;
 }
 

@@ -24,7 +24,7 @@ export function decimalsOf(unit: string): number {
   return unit === "mm" ? 1 : 0;
 }
 
-/** A unit as it is written. */
-export function written(unit: string): string {
-  return unit === "degrees" ? "°" : unit;
+/** A value with its unit, as it is written. */
+export function withUnit(value: string, unit: string): string {
+  return unit === "degrees" ? `${value}°` : `${value} ${unit}`;
 }
