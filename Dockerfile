@@ -1,5 +1,15 @@
 # syntax=docker/dockerfile:1
 
+# The viewer, which the program holds. Its packages first: they are fetched again only when their list changes.
+FROM node:24-bookworm-slim AS web
+WORKDIR /build/web
+COPY web/package.json web/package-lock.json ./
+COPY web/client/package.json client/
+RUN npm ci --no-audit --no-fund
+COPY openapi ../openapi
+COPY web ./
+RUN npm run build
+
 # The version of rust-toolchain.toml, which is not copied: it asks for rustfmt and clippy too.
 FROM rust:1.95.0-bookworm AS build
 WORKDIR /build
@@ -11,6 +21,7 @@ RUN mkdir -p src tests/it benches \
     && touch src/lib.rs tests/it/main.rs benches/queue.rs \
     && cargo build --release --locked
 COPY . .
+COPY --from=web /build/web/dist web/dist
 # Copied files keep their times, which may lie before those of the empty ones above.
 RUN touch src/main.rs src/lib.rs \
     && cargo build --release --locked \

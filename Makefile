@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build test chaos bench-queue fuzz lint openapi tables accuracy
+.PHONY: help demo build web test chaos bench-queue fuzz lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -14,8 +14,26 @@ help: ## lists the targets
 demo: build ## starts the service, posts a beating phantom as DICOM, shows the result (ONCE=1: then exits)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" demo $(if $(ONCE),--once)
 
-build: ## builds the release binary
+build: ## builds the release binary, with the viewer inside where npm is there
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory web; else echo "npm is absent: the program is built without the viewer"; fi
 	cargo build --release --locked
+
+# What the viewer is made from; its files are made again where any of them is newer.
+WEB_SOURCES := openapi/openapi.json $(shell find web \( -name node_modules -o -name dist -o -path web/tests \) -prune -o -type f -print 2>/dev/null)
+
+web: ## builds the viewer into web/dist (needs npm)
+	@command -v npm >/dev/null || { echo "make web needs npm: install Node.js 20 or later with npm (Debian packages nodejs and npm)"; exit 1; }
+	@if [[ -e web/package.json ]]; then $(MAKE) --no-print-directory web/dist/index.html; else echo "there is no web/package.json: nothing to build"; fi
+
+web/node_modules/.package-lock.json: web/package.json web/package-lock.json
+	cd web && npm ci --no-audit --no-fund
+	@touch $@
+
+web/dist/index.html: web/node_modules/.package-lock.json $(WEB_SOURCES)
+	cd web && npm run build
+	@touch $@
+
+web/package.json web/package-lock.json:
 
 test: ## installs what the tests need on Debian, then runs all of them
 	@tests/tools/prepare.sh

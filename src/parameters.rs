@@ -351,6 +351,17 @@ mod tests {
     }
 
     #[test]
+    fn whether_the_input_is_kept_is_of_the_job_and_not_of_the_numbers() {
+        let request = parse_for_job(&json!({"keep_input": true}), 7200).unwrap();
+        assert_eq!(request.keep_input, Some(true));
+        assert_eq!(resolve(request).unwrap(), chosen::Parameters::clinical());
+        assert_eq!(parse_for_job(&json!({"keep_input": null}), 7200).unwrap().keep_input, None);
+        assert_eq!(parse_for_job(&json!({"keep_input": 1}), 7200).unwrap_err().code(), "invalid_parameter");
+        assert_eq!(refused(&json!({"keep_input": true})), [("unavailable_parameter", "/keep_input".to_owned())]);
+        assert!(!describe(None).iter().any(|field| field.pointer == "/keep_input"));
+    }
+
+    #[test]
     fn a_list_in_a_query_needs_no_brackets() {
         let read = |text: &str| from_query(&[("region.centre_mm".to_owned(), text.to_owned())]).unwrap()["region"]["centre_mm"].clone();
         assert_eq!(read("30,31.5"), json!([30, 31.5]));

@@ -11,7 +11,7 @@ use super::{
     wishes::{Rules, Wishes},
 };
 use crate::{
-    jobs::{KeptInput, NewJob, Submitted, input},
+    jobs::{KeptInput, NewJob, Store, Submitted, input},
     parameters,
 };
 use axum::{
@@ -62,10 +62,7 @@ pub(super) async fn again(State(state): State<AppState>, Id(id): Id, headers: He
     let written = written(&body::read(body, body::MOST_PARAMETER_BYTES as u64, state.upload_time).await?)?;
     // A place before the study is read.
     let mut reservation = state.store.reserve(0)?;
-    let kept = match state.store.kept_input(id).await? {
-        Some(kept) => kept,
-        None => return Err(Problem::input_not_kept(&state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?)),
-    };
+    let kept = kept_input(&state.store, id).await?;
     reservation.resize(kept.study.len() as u64)?;
     let rules = Rules::of(&state);
     let new = state.parse(move |_| new_job(id, kept, &written, idempotency_key, &rules)).await?;
@@ -73,6 +70,15 @@ pub(super) async fn again(State(state): State<AppState>, Id(id): Id, headers: He
         Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, &job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
     }
+}
+
+/// The input of a job, or why it is not there.
+pub(super) async fn kept_input(store: &Store, id: Uuid) -> Result<KeptInput, Problem> {
+    if let Some(kept) = store.kept_input(id).await? {
+        return Ok(kept);
+    }
+    let job = store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
+    Err(Problem::input_not_kept(&job))
 }
 
 /// The parameters of a body, which may be empty.

@@ -2,6 +2,7 @@
 
 use super::{
     AppState,
+    again::kept_input,
     archived::missing,
     extract::{Id, IdAndGate, Query},
     negotiate,
@@ -89,10 +90,7 @@ pub(super) async fn picture(
     if !(1..=slices.gates).contains(&(gate as usize)) {
         return Err(missing(&state.store, id, &name).await?);
     }
-    let kept = match state.store.kept_input(id).await? {
-        Some(kept) => kept,
-        None => return Err(Problem::input_not_kept(&state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?)),
-    };
+    let kept = kept_input(&state.store, id).await?;
     let draw = move |_: &_| {
         let study = input::decode(&kept.study).map_err(|error| damaged(id, &error))?;
         Ok(export::slices::png(&study, gate as usize, &slices.rectangles(plane), slices.white_counts)?)

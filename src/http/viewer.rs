@@ -6,6 +6,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header},
     response::{IntoResponse, Response},
 };
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use rust_embed::RustEmbed;
 use sha2::{Digest, Sha256};
 use std::{borrow::Cow, collections::BTreeMap, sync::Arc};
@@ -51,8 +52,8 @@ pub(super) fn given(files: BTreeMap<String, Vec<u8>>) -> Files {
 
 impl File {
     fn new(data: Cow<'static, [u8]>) -> Self {
-        let hash: String = Sha256::digest(&data).iter().map(|byte| format!("{byte:02x}")).collect();
-        Self { data, etag: format!("\"{hash}\"") }
+        let etag = format!("\"{}\"", STANDARD.encode(Sha256::digest(&data)));
+        Self { data, etag }
     }
 }
 

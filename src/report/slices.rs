@@ -18,17 +18,21 @@ const SLICES_SCHEMA: &str = "ventricle.slices/1";
 
 /// Pixels of planes that are laid about the ventricle, in mm: finer than the 2.5 to 7 mm of clinical studies.
 const PIXEL_MM: f64 = 2.0;
-/// Distance between short-axis slices in mm, about that of clinical studies.
+/// Distance between short-axis slices in mm, about that of clinical studies; more where there would be too many.
 const SLICE_MM: f64 = 6.0;
+/// Most short-axis slices. Ventricles have some twenty.
+const MOST_SLICES: f64 = 64.0;
 /// What is shown around the outer surface at least, in mm.
 const MARGIN_MM: f64 = 20.0;
 /// Half the side of a picture at least, in mm: the same scale for all but very large ventricles.
 const LEAST_HALF_MM: f64 = 70.0;
+/// Half the side of a picture at most, in mm: what a mark that is far too wide makes of a surface is cut off.
+const MOST_HALF_MM: f64 = 150.0;
 
 /// Slices in three directions, and where both surfaces cut them at every gate.
 ///
-/// A point `[x, y]` of a contour is in pixels, whole numbers at the pixels' middles; it lies at `origin_mm` + x · `pixel_mm[0]` · `right`
-/// + y · `pixel_mm[1]` · `down` + slice · `slice_mm` · `through` in grid mm (slice from 0). Contours are closed lines that end with the point that
+/// A point `[x, y]` of a contour is in pixels, whole numbers at the pixels' middles. In grid mm it lies at
+/// `origin_mm` + x · `pixel_mm[0]` · `right` + y · `pixel_mm[1]` · `down` + slice · `slice_mm` · `through`, slices counted from 0. Contours are closed lines that end with the point that
 /// they begin with; that of a surface is the cut of its whole mesh, valve plane included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Slices {
@@ -298,7 +302,7 @@ impl About {
     /// A square about a point.
     fn square(&self, middle_mm: DVec3, right: DVec3, down: DVec3) -> Plane {
         let [low, high] = self.along_mm;
-        let half_mm = (self.radius_mm.max((high - low) / 2.0) + MARGIN_MM).max(LEAST_HALF_MM);
+        let half_mm = (self.radius_mm.max((high - low) / 2.0) + MARGIN_MM).clamp(LEAST_HALF_MM, MOST_HALF_MM);
         let half = (half_mm / PIXEL_MM).ceil();
         let origin_mm = middle_mm - (right + down) * ((half - 0.5) * PIXEL_MM);
         Plane { origin_mm, right, down, pixel_mm: [PIXEL_MM; 2], width: 2 * half as usize, height: 2 * half as usize }
@@ -313,12 +317,13 @@ impl About {
     fn short_axis(&self, found: &Reconstruction) -> SlicePlane {
         let [anterior, septal, to_base] = self.axes;
         let [low, high] = self.along_mm;
-        let slices = ((high - low) / SLICE_MM).ceil() as usize + 2;
+        let slices = ((high - low) / SLICE_MM).ceil() + 2.0;
+        let (slices, slice_mm) = if slices > MOST_SLICES { (MOST_SLICES, (high - low) / (MOST_SLICES - 2.0)) } else { (slices, SLICE_MM) };
         // What is left over is shared by both ends.
-        let lowest = f64::midpoint(low, high) - (slices - 1) as f64 * SLICE_MM / 2.0;
+        let lowest = f64::midpoint(low, high) - (slices - 1.0) * slice_mm / 2.0;
         let first = self.square(self.middle_mm + to_base * lowest, -septal, -anterior);
         let labels = self.labels(["septal", "lateral", "anterior", "inferior"]);
-        with_contours(SlicePlane { labels, ..stack(PlaneName::ShortAxis, first, to_base, SLICE_MM, slices) }, found)
+        with_contours(SlicePlane { labels, ..stack(PlaneName::ShortAxis, first, to_base, slice_mm, slices as usize) }, found)
     }
 
     fn long_axis(&self, found: &Reconstruction) -> SlicePlane {
@@ -349,5 +354,58 @@ impl About {
             ..stack(PlaneName::LongAxis, size, to_base, SLICE_MM, 0)
         };
         with_contours(plane, found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edges_are_named_by_the_patients_directions_they_are_nearest_to() {
+        let turned = Orientation {
+            columns: DVec3::new(-0.8, 0.6, 0.0),
+            rows: DVec3::new(0.0, 0.0, -1.0),
+            slices: DVec3::new(0.6, 0.8, 0.0),
+            origin_mm: DVec3::ZERO,
+        };
+        for (in_grid, name) in [
+            (DVec3::X, "right"),
+            (DVec3::NEG_X, "left"),
+            (DVec3::Y, "feet"),
+            (DVec3::NEG_Y, "head"),
+            (DVec3::Z, "back"),
+            (DVec3::NEG_Z, "front"),
+        ] {
+            assert_eq!(towards(&turned, in_grid), name);
+        }
+    }
+
+    #[test]
+    fn a_surface_of_any_length_has_slices_of_bounded_number_and_size_that_reach_beyond_it() {
+        for length_mm in [30.0, 95.0, 140.0, 3000.0] {
+            let axes = [DVec3::NEG_Y, DVec3::NEG_X, DVec3::Z];
+            let (along_mm, middle_mm) = ([-0.6 * length_mm, 0.4 * length_mm], DVec3::new(90.0, 80.0, 70.0));
+            let about = About { axes, walls_known: false, middle_mm, along_mm, radius_mm: length_mm / 3.0 };
+            let found = Reconstruction {
+                gates: Vec::new(),
+                region: None,
+                to_base: DVec3::Z,
+                pose: None,
+                model: None,
+                parameters: crate::pipeline::parameters::Parameters::clinical(),
+                warnings: Vec::new(),
+            };
+            let plane = about.short_axis(&found);
+            let rectangles = plane.rectangles();
+            assert_eq!(rectangles.len(), plane.slices);
+            assert!(plane.slices <= 64 && (70..=150).contains(&plane.width) && plane.width == plane.height, "{plane:?}");
+            let heights = rectangles.iter().map(|rectangle| rectangle.origin_mm.z - middle_mm.z).collect::<Vec<_>>();
+            assert!(heights[0] < along_mm[0] && *heights.last().unwrap() > along_mm[1], "{length_mm}: {heights:?}");
+            let centre = rectangles[0].point_mm([(plane.width - 1) as f64 / 2.0; 2]);
+            assert!(centre.truncate().distance(middle_mm.truncate()) < 1e-9, "the axis is in the middle");
+            assert_eq!(plane.labels, None);
+            assert_eq!(about.long_axis(&found).rectangles().len(), 2);
+        }
     }
 }

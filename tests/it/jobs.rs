@@ -27,6 +27,7 @@ use ventricle::{
 on_both_engines! {
     a_job_goes_from_queued_to_succeeded_with_its_results,
     the_input_is_kept_when_asked_for,
+    a_job_says_whether_its_input_is_kept,
     the_same_key_and_request_is_the_same_job_however_many_race,
     the_queue_is_limited_by_jobs_and_bytes_exactly,
     a_queued_job_is_cancelled_at_once_and_a_finished_one_deleted,
@@ -88,6 +89,20 @@ async fn the_input_is_kept_when_asked_for(place: &Place) {
     until_state(&store, job.id, State::Succeeded).await;
     let input = store.blob(job.id, "input").await.unwrap().unwrap();
     assert_eq!(ventricle::jobs::input::decode(&input.data).unwrap(), study());
+}
+
+async fn a_job_says_whether_its_input_is_kept(place: &Place) {
+    for (by_default, said, kept) in [(false, Some(true), true), (true, Some(false), false), (true, None, true), (false, None, false)] {
+        let store = Store::open(StoreSettings { keep_input: by_default, ..place.settings() }).await.unwrap();
+        let new = NewJob { keep_input: said, ..new_job() };
+        let id = store.submit(store.reserve(100).unwrap(), new).await.unwrap().job().id;
+        assert_eq!(store.kept_input(id).await.unwrap().unwrap().keep_input, said);
+        let claim = store.claim("worker").await.unwrap().unwrap();
+        store.finish(&claim, Outcome::Succeeded(Arc::default()), &Snapshot::default()).await.unwrap();
+        assert_eq!(store.get(id).await.unwrap().unwrap().input_kept, kept, "{by_default} {said:?}");
+        assert_eq!(store.kept_input(id).await.unwrap().is_some(), kept);
+        store.close().await;
+    }
 }
 
 async fn the_same_key_and_request_is_the_same_job_however_many_race(place: &Place) {

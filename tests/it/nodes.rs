@@ -13,8 +13,8 @@ use std::{
 use uuid::Uuid;
 use ventricle::{
     jobs::{
-        Deletion, Finish, Heartbeat, Outcome, Snapshot, State, Store, StoreSettings, SubmitError, Submitted, Work, WorkerSettings, Workers,
-        start_workers,
+        Deletion, Finish, Heartbeat, News, Outcome, Snapshot, State, Store, StoreSettings, SubmitError, Submitted, Work, WorkerSettings,
+        Workers, start_workers,
     },
     phantom::{self, Imaging, Phantom, Shape, Ventricle},
     pipeline::monitor::{Monitor, Stage},
@@ -24,6 +24,7 @@ on_postgres! {
     many_nodes_start_at_once_on_an_empty_database,
     what_one_node_does_the_others_hear,
     without_notifications_polling_is_enough,
+    who_listens_to_all_jobs_hears_of_those_of_other_nodes,
     a_job_is_cancelled_from_another_node_nearly_at_once,
     a_listener_that_was_cut_off_comes_back_and_looks_again,
     limits_hold_however_many_submit_on_two_nodes,
@@ -110,6 +111,36 @@ async fn without_notifications_polling_is_enough(place: &Place) {
     until_state(&asked, job.id, State::Cancelled).await;
     // A heartbeat, a poll, and what a busy machine adds.
     assert!(began.elapsed() < heartbeat + Duration::from_secs(2), "{:?}", began.elapsed());
+}
+
+/// Reads news until one is as wanted.
+async fn told(news: &mut tokio::sync::broadcast::Receiver<News>, wanted: impl Fn(&News) -> bool) {
+    let read = async { while !wanted(&news.recv().await.unwrap()) {} };
+    tokio::time::timeout(SOON, read).await.expect("it is not told");
+}
+
+async fn who_listens_to_all_jobs_hears_of_those_of_other_nodes(place: &Place) {
+    let other = place.open().await;
+    let before = submit(&other).await;
+    // By hearing only, and by looking only.
+    let deaf = StoreSettings { poll: Duration::from_millis(50), listen: false, ..place.settings() };
+    for (listener, hears) in [(hearing(place).await, true), (Store::open(deaf).await.unwrap(), false)] {
+        let mut news = listener.news();
+        if !hears {
+            // The first look is what later ones are compared with.
+            tokio::time::sleep(Duration::from_millis(500)).await;
+        }
+        let new = submit(&other).await;
+        told(&mut news, |one| matches!(one, News::Changed(job) if job.id == new.id)).await;
+        assert!(matches!(other.delete(new.id).await.unwrap(), Deletion::Cancelled(_)));
+        told(&mut news, |one| matches!(one, News::Changed(job) if job.id == new.id && job.state == State::Cancelled)).await;
+        other.delete(new.id).await.unwrap();
+        if hears {
+            told(&mut news, |one| matches!(one, News::Deleted(id) if *id == new.id)).await;
+        }
+        listener.close().await;
+    }
+    assert_eq!(other.get(before.id).await.unwrap().unwrap().state, State::Queued);
 }
 
 async fn a_job_is_cancelled_from_another_node_nearly_at_once(place: &Place) {

@@ -7,6 +7,7 @@ use uuid::Uuid;
 use ventricle::{
     jobs::{Backend, Deletion, ListQuery, NewJob, Outcome, Snapshot, State, Store, StoreError, StoreSettings, Submitted, input},
     pipeline::parameters::Parameters,
+    report::Summary,
 };
 
 on_both_engines! {
@@ -95,6 +96,7 @@ async fn opening_upgrades_and_loses_nothing(place: &Place) {
     );
     assert!(jobs.iter().all(|job| job.study_instance_uid.as_deref() == Some("1.2.3") && job.created_at.as_millisecond() == THEN_MS));
     assert!(jobs.iter().all(|job| job.expires_at.is_none()), "no time was set for them");
+    assert!(jobs.iter().all(|job| job.summary.is_none() && job.input_kept == (job.state == State::Queued)), "{jobs:?}");
     assert!(store.expire().await.unwrap().is_empty());
     assert_eq!(store.blob(succeeded, "report").await.unwrap().unwrap().data, b"{\"old\":true}");
     assert_eq!(store.get(failed).await.unwrap().unwrap().error.unwrap().code, "no_border");
@@ -107,8 +109,12 @@ async fn opening_upgrades_and_loses_nothing(place: &Place) {
     assert_eq!(claim.id, queued);
     assert_eq!(input::decode(&store.input(&claim).await.unwrap().unwrap()).unwrap(), study());
     assert_eq!(serde_json::from_str::<Parameters>(&claim.parameters).unwrap(), Parameters::paper());
-    store.finish(&claim, Outcome::Succeeded([output("report", b"{}")].into()), &Snapshot::default()).await.unwrap();
+    let summary = Summary { edv_ml: None, esv_ml: None, ef_percent: None, mass_g: 120.5, quality_score: 0.75, flags: vec!["odd".into()] };
+    let outputs = [output("report", b"{}"), output("summary", &serde_json::to_vec(&summary).unwrap())];
+    store.finish(&claim, Outcome::Succeeded(outputs.into()), &Snapshot::default()).await.unwrap();
     let done = store.get(queued).await.unwrap().unwrap();
+    assert_eq!((done.summary, done.input_kept), (Some(summary), false), "the operator's setting decides of what was stored before");
+    assert_eq!(store.blob(queued, "summary").await.unwrap(), None, "it is a part of the job");
     assert_eq!(done.expires_at.unwrap().duration_since(done.finished_at.unwrap()).as_secs(), 60);
     assert_eq!(store.delete(cancelled).await.unwrap(), Deletion::Deleted);
     store.close().await;

@@ -8,6 +8,7 @@ use axum::{
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 use std::{
+    collections::BTreeMap,
     path::PathBuf,
     sync::{
         Arc,
@@ -63,7 +64,8 @@ pub(super) async fn with(settings: StoreSettings, work: Option<Work>, adapt: imp
         let settings = WorkerSettings { work, heartbeat: quick, progress_interval: quick, poll: quick, ..WorkerSettings::default() };
         start_workers(store.clone(), settings).unwrap()
     });
-    let state = adapt(AppState::new(store.clone()));
+    // Without the viewer, whether it was built or not.
+    let state = adapt(AppState::new(store.clone()).with_viewer(BTreeMap::new()));
     Service { router: router(state.clone()), state, store, workers, directory }
 }
 
