@@ -2456,8 +2456,8 @@ export interface components {
         /**
          * @description Slices in three directions, and where both surfaces cut them at every gate.
          *
-         *     A point `[x, y]` of a contour is in pixels, whole numbers at the pixels' middles; it lies at `origin_mm` + x · `pixel_mm[0]` · `right`
-         *     + y · `pixel_mm[1]` · `down` + slice · `slice_mm` · `through` in grid mm (slice from 0). Contours are closed lines that end with the point that
+         *     A point `[x, y]` of a contour is in pixels, whole numbers at the pixels' middles. In grid mm it lies at
+         *     `origin_mm` + x · `pixel_mm[0]` · `right` + y · `pixel_mm[1]` · `down` + slice · `slice_mm` · `through`, slices counted from 0. Contours are closed lines that end with the point that
          *     they begin with; that of a surface is the cut of its whole mesh, valve plane included.
          */
         Slices: {

@@ -104,7 +104,7 @@ export class VentricleViewer extends HTMLElement {
     const scale = h("span", { class: "scale" });
     scale.style.background = `linear-gradient(to right, ${variant.colours.join(", ")})`;
     const unit = variant.unit === "degrees" ? "°" : variant.unit;
-    legend.replaceChildren(String(variant.range[0]), scale, `${variant.range[1]} ${unit}`);
+    legend.replaceChildren(h("span", {}, String(variant.range[0])), scale, h("span", {}, `${variant.range[1]} ${unit}`));
   }
 }
 

@@ -96,6 +96,8 @@ export function createView(canvas: HTMLCanvasElement, model: Model, signal: Abor
       view.redraw();
     },
     at(x, y) {
+      // It may have been turned since it was drawn.
+      camera.updateMatrixWorld();
       const box = canvas.getBoundingClientRect();
       const [left, top] = [x ?? box.width / 2, y ?? box.height / 2];
       return pick(model, camera, (left / box.width) * 2 - 1, 1 - (top / box.height) * 2);

@@ -38,7 +38,8 @@ export function bullsEye(map: PolarMap, shown: Shown): HTMLElement {
 function segmentOf(segment: number, map: PolarMap, shown: Shown): SVGGElement {
   const value = map.segments[segment - 1] ?? null;
   const text = value === null ? "–" : number(value, value > -10 && value < 10 ? decimalsOf(map.unit) : 0);
-  const full = value === null ? t("model.noValue") : withUnit(number(value, decimalsOf(map.unit)), map.unit);
+  // As it is written in the drawing: what is seen and what is read aloud are one.
+  const full = value === null ? `${text} ${t("model.noValue")}` : withUnit(text, map.unit);
   const label = t("maps.segment", { number: segment, name: told("segment", String(segment)), value: full });
   const { radius, degrees } = middleOf(segment);
   const [x, y] = place(radius, degrees);
