@@ -47,9 +47,9 @@ await withBrowser(async (browser) => {
   const told = page.getByRole("alert");
   await told.waitFor();
   const words = await told.innerText();
-  assert.ok(words.includes("No left ventricle found") && words.includes(failed.error.detail) && words.includes("Check that the study"), words);
+  assert.ok(words.includes("No left ventricle found") && words.includes(failed.error.detail) && words.includes("try the other method"), words);
   await assertAccessible(page, "a failed job");
-  await told.getByRole("button", { name: "Run again" }).click();
+  await told.getByRole("button", { name: "Run again: clinical" }).click();
   await page.waitForURL((address) => !address.pathname.endsWith(failed.id));
   await told.getByText("No left ventricle found").waitFor();
   await told.getByRole("link", { name: "All studies" }).click();

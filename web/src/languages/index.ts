@@ -50,7 +50,9 @@ export function t(key: Key, values: Readonly<Record<string, string | number>> = 
 /** A text for a code of the service that may be newer than this page; the code in words where there is none. */
 export function told(prefix: string, code: string): string {
   const key = `${prefix}.${code}`;
-  return key in en ? t(key as Key) : code.replaceAll("_", " ");
+  if (key in en) return t(key as Key);
+  const words = code.replaceAll("_", " ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
 /** A number in the language in use. */

@@ -11,3 +11,9 @@ export function stateOf(job: Job): string {
   if (job.cancel_requested && job.finished_at === null) return t("state.cancelling");
   return t(`state.${job.state}`);
 }
+
+/** How many gates it has, in words. */
+export function gatesOf(job: Job): string {
+  const gates = job.progress.gates_total;
+  return gates === 1 ? t("studies.ungated") : t("study.gates", { gates });
+}

@@ -1,7 +1,7 @@
 import type { Job } from "../../client/src/index.ts";
 import { moment, number, t, told } from "../languages/index.ts";
 import { type Child, h, show } from "../page/dom.ts";
-import { nameOf, stateOf } from "../page/names.ts";
+import { gatesOf, nameOf, stateOf } from "../page/names.ts";
 
 /** What can be done with a study from the list. */
 export interface RowActions {
@@ -47,7 +47,7 @@ export function createRow(first: Job, actions: RowActions): Row {
   const update = (now: Job): void => {
     job = now;
     const ended = job.finished_at !== null;
-    facts.textContent = t("study.gates", { gates: job.progress.gates_total });
+    facts.textContent = gatesOf(job);
     state.textContent = stateOf(job);
     state.className = `state ${job.state}`;
     detail.textContent = detailOf(job);
@@ -56,7 +56,7 @@ export function createRow(first: Job, actions: RowActions): Row {
     else bar.value = job.progress.fraction;
     const { summary } = job;
     const percent = summary?.ef_percent ?? null;
-    ef.textContent = percent !== null ? `${number(percent)} %` : summary === null ? "" : t("studies.ungated");
+    ef.textContent = percent !== null ? `${number(percent)} %` : "";
     const { edv_ml: edv = null, esv_ml: esv = null } = summary ?? {};
     volumes.textContent = edv !== null && esv !== null ? `${number(edv)} / ${number(esv)} ml` : "";
     flags.replaceChildren(...flagsOf(job));

@@ -1,12 +1,11 @@
-import type { Job } from "../../client/src/index.ts";
+import { type Job, ProblemError } from "../../client/src/index.ts";
 import { moment, number, t, told } from "../languages/index.ts";
 import { type Child, h, show } from "../page/dom.ts";
 import { followJobs } from "../page/jobs.ts";
-import { nameOf, stateOf } from "../page/names.ts";
+import { gatesOf, nameOf, stateOf } from "../page/names.ts";
 import { follow, go } from "../page/router.ts";
 import { body, client } from "../page/service.ts";
 import { box, isAborted, problemBox, troubleOf } from "../page/trouble.ts";
-import { ProblemError } from "../../client/src/index.ts";
 import { confirmed } from "../studies/confirm.ts";
 import { loadShown } from "./load.ts";
 import { results } from "./results.ts";
@@ -46,7 +45,9 @@ export function studyPage(id: string, signal: AbortSignal): HTMLElement {
   const finish = async (done: Job): Promise<void> => {
     if (done.state !== "succeeded") {
       const problem = done.error ?? { code: "cancelled", title: t("code.cancelled"), detail: "", status: 0, type: "" };
-      const again = done.input_kept ? [h("button", { type: "button", class: "primary", onclick: () => void runAgain(done, place) }, t("again.run"))] : [];
+      const again = (["clinical", "paper"] as const)
+        .filter(() => done.input_kept)
+        .map((preset) => h("button", { type: "button", onclick: () => void runAgain(done, preset, place) }, t("again.runPreset", { preset })));
       place.replaceChildren(problemBox(problem, [...again, back()]));
       return;
     }
@@ -115,17 +116,17 @@ export function studyPage(id: string, signal: AbortSignal): HTMLElement {
   );
 }
 
-/** A failed or cancelled job on the same counts, as it was asked for. */
-async function runAgain(job: Job, place: HTMLElement): Promise<void> {
+/** A failed or cancelled job on the same counts. */
+async function runAgain(job: Job, preset: "clinical" | "paper", place: HTMLElement): Promise<void> {
   try {
-    go(`/studies/${body(await client.api.POST("/v1/reconstructions/{id}/again", { params: { path: { id: job.id } }, body: { keep_input: true } })).id}`);
+    go(`/studies/${body(await client.api.POST("/v1/reconstructions/{id}/again", { params: { path: { id: job.id } }, body: { preset, keep_input: true } })).id}`);
   } catch (error) {
     place.append(troubleOf(error));
   }
 }
 
 function factsOf(job: Job): string {
-  const parts = [t("study.gates", { gates: job.progress.gates_total }), t("study.received", { when: moment(job.created_at) })];
+  const parts = [gatesOf(job), t("study.received", { when: moment(job.created_at) })];
   if (job.expires_at !== null) parts.push(t("study.expires", { when: moment(job.expires_at) }));
   return parts.join(" · ");
 }
