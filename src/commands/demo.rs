@@ -157,6 +157,7 @@ fn show(client: &Client, job: &Job, posted: &Posted, args: &Args) -> anyhow::Res
     let kept = args.url.is_some() || !args.once;
     if kept {
         for (what, path) in [
+            ("viewer", format!("/studies/{}", job.id)),
             ("job", format!("/v1/reconstructions/{}", job.id)),
             ("report", report_path),
             ("surfaces", surfaces_path),

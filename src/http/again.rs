@@ -83,10 +83,11 @@ pub(super) async fn kept_input(store: &Store, id: Uuid) -> Result<KeptInput, Pro
 
 /// The parameters of a body, which may be empty.
 fn written(bytes: &[u8]) -> Result<Value, BodyError> {
-    if bytes.trim_ascii().is_empty() {
-        return Ok(Value::Object(serde_json::Map::new()));
-    }
-    serde_json::from_slice(bytes).map_err(|error| BodyError::BodyNotJson { why: error.to_string() })
+    let written = match bytes.trim_ascii() {
+        [] => Value::Null,
+        text => serde_json::from_slice(text).map_err(|error| BodyError::BodyNotJson { why: error.to_string() })?,
+    };
+    Ok(if written.is_null() { Value::Object(serde_json::Map::new()) } else { written })
 }
 
 /// Slow for large studies; not for a thread of the runtime.

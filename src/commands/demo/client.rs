@@ -88,7 +88,8 @@ impl Client {
 
     /// Posts a study.
     pub(super) fn submit(&self, media_type: &str, bytes: &[u8]) -> anyhow::Result<Job> {
-        let url = self.url("/v1/reconstructions");
+        // With its input kept: the viewer draws it.
+        let url = self.url("/v1/reconstructions?keep_input=true");
         let response = self.agent.post(&url).header("content-type", media_type).send(bytes);
         let body = accepted(response.with_context(|| format!("{url} does not answer"))?)?;
         serde_json::from_slice(&body).context("the answer is not a job")
