@@ -12,6 +12,8 @@ export default defineConfig({
     assetsInlineLimit: 0,
     modulePreload: { polyfill: false },
     chunkSizeWarningLimit: 1000,
+    // What others wrote and is inside asks to be named.
+    license: { fileName: "licenses.md" },
   },
   server: { proxy: { "/v1": process.env.VENTRICLE_URL ?? "http://127.0.0.1:8080" } },
 });

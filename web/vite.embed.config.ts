@@ -9,5 +9,6 @@ export default defineConfig({
     emptyOutDir: true,
     lib: { entry: "src/embed/element.ts", formats: ["es"], fileName: () => "ventricle-viewer.js" },
     chunkSizeWarningLimit: 1000,
+    license: { fileName: "licenses.md" },
   },
 });

@@ -3,6 +3,7 @@
 
 use crate::{
     dimse::write,
+    parted,
     served::{Directory, Served},
     shared,
 };
@@ -63,6 +64,21 @@ fn the_list_is_live_speaks_three_languages_and_makes_a_phantom() {
     let store = Directory::new("viewer-list");
     let service = Served::start(&store.0, &[]);
     run("studies.mjs", &[&service.url, &study]);
+}
+
+#[test]
+fn files_of_two_series_dropped_together_become_two_studies() {
+    if !ready(true) {
+        return;
+    }
+    let (store, folder) = (Directory::new("viewer-series"), Directory::new("viewer-series-files"));
+    let service = Served::start(&store.0, &[]);
+    let gates = parted::gates(&parted::whole(60));
+    let files = gates.iter().enumerate().map(|(gate, bytes)| write(&folder.0, &format!("{gate}.dcm"), bytes));
+    let files: Vec<PathBuf> = files.chain([write(&folder.0, "whole.dcm", &parted::whole(61))]).collect();
+    let mut arguments = vec![service.url.as_str(), "2"];
+    arguments.extend(files.iter().map(|file| file.to_str().unwrap()));
+    run("series.mjs", &arguments);
 }
 
 #[test]
