@@ -26,6 +26,8 @@ export function studyPage(id: string, signal: AbortSignal): HTMLElement {
   const retry = (again: () => void) => h("button", { type: "button", class: "primary", onclick: again }, t("app.retry"));
   const update = (now: Job): void => {
     const before = job;
+    // An answer that was on its way while an event overtook it.
+    if (before !== null && before.finished_at !== null) return;
     job = now;
     state.textContent = stateOf(now);
     state.className = `state ${now.state}`;
@@ -38,7 +40,7 @@ export function studyPage(id: string, signal: AbortSignal): HTMLElement {
     if (!ended) {
       if (waiting.element.parentElement !== place) place.replaceChildren(waiting.element);
       waiting.update(now);
-    } else if (before === null || before.finished_at === null) {
+    } else {
       void finish(now);
     }
   };
@@ -86,19 +88,17 @@ export function studyPage(id: string, signal: AbortSignal): HTMLElement {
       }
     })();
   });
-  let lost = false;
+  const isSettled = () => job !== null && job.finished_at !== null;
   followJobs(
     {
-      // Finished studies do not change any more; one that is shown stays as it is.
+      // A finished study does not change any more: what is shown stays as it is.
       opened: () => {
-        if (job === null || job.finished_at === null || lost) void (job?.finished_at == null ? load() : undefined);
-        lost = false;
+        if (!isSettled()) void load();
       },
       changed: (now) => now.id === id && update(now),
       deleted: (other) => other === id && gone(),
       lost: () => {
-        lost = true;
-        if (job !== null && job.finished_at !== null) return;
+        if (isSettled()) return;
         place.replaceChildren(troubleOf(new TypeError("no answer"), [retry(() => void load()), back()]));
       },
     },
