@@ -41,4 +41,5 @@ mod served;
 mod shared;
 mod surfaces;
 mod upgrade;
+mod viewer;
 mod wall;

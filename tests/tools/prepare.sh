@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
-# (libgdcm-tools) for DICOM, Orthanc with its DICOMweb and Python plugins for an archive, strace for what is written to disk, Chromium for what the page
-# prints to, Node with the validators for glTF, FHIR and JSON Schema and a DICOMweb client, Python with highdicom for structured reports and another
+# (libgdcm-tools) for DICOM, Orthanc with its DICOMweb and Python plugins for an archive, strace for what is written to disk, Chromium for the pages and
+# what the report prints to, Node with the validators for glTF, FHIR and JSON Schema and a DICOMweb client, Python with highdicom for structured reports and another
 # such client, PostgreSQL for what is stored there.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
@@ -63,8 +63,10 @@ if command -v npm >/dev/null; then
   if [[ ! node_modules/.package-lock.json -nt package-lock.json ]]; then
     npm ci --silent --no-audit --no-fund || echo "not installed: the npm packages of tests/tools (npm ci failed there)"
   fi
+  # The pages are inside of the program that the tests start: built before it, with the packages that drive them in a browser.
+  make --no-print-directory -C ../.. web >/dev/null || echo "not built: the pages of web/ (make web failed there)"
 else
-  echo "not installed: the npm packages of tests/tools (npm is missing)"
+  echo "not installed: the npm packages of tests/tools, and the pages of web/ are not built (npm is missing)"
 fi
 
 if python3 -c 'import ensurepip' 2>/dev/null; then
