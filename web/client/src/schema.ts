@@ -2142,15 +2142,21 @@ export interface components {
         Quality: {
             /**
              * Format: double
-             * @description 0-1. With the preset `clinical` the product of three factors, each 1 where nothing speaks against the result, ½ at the limit of its flag and
-             *     falling in a straight line between and beyond, to 0 at the least: the model's unexplained residual (0, limit .15), the extrapolated part of the
-             *     wall (0, limit 40 %), the pose's score (1, limit of `pose_uncertain`). With the preset `paper` the mean, over gates and surfaces, of the
-             *     fraction of particles within one voxel of the detected border: 1 says that every surface reached its border, not that the border is
-             *     the heart's. Neither is a probability: judge by the flags, the uncertainty and by eye.
+             * @description 0-1: that of the worst of `checks`. ½ and less exactly where a flag is raised. Not a probability: judge by the flags, the uncertainty and by
+             *     eye.
              */
             score: number;
             /**
-             * @description Stable codes; each has a sentence of the same code in `warnings`.
+             * @description Stable codes; each has a sentence of the same code in `warnings`. How often they are right is published (`docs/accuracy.md`).
+             *
+             *     Of the study: `gating` (beats lost in a gate, end diastole far from the R wave, gates not in order), `low_counts` (noise), `truncated` (part
+             *     of the wall is not in the image), `extracardiac_activity` (something bright beside the wall), `large_defect` (a third of the wall takes up
+             *     little), `small_heart` (a cavity that the camera hardly resolves at end systole), `motion` (opposite sides of the wall are dim, as when the
+             *     patient moved).
+             *
+             *     Of the result: `shape` (a shape or size that hearts do not have), `valve_plane` (where the wall ends is not seen, or moves as no heart's),
+             *     `myocardial_volume_not_conserved` (the wall's volume varies by more than 5 % over the cycle), `surfaces_cross` (a cavity is not smaller than
+             *     the volume inside the outer surface).
              *
              *     Preset `clinical`: `poor_residual` (the model leaves more than .15 of the wall's activity beyond noise), `wall_extrapolated` (more than 40 % of
              *     the wall rests on its surroundings), `pose_uncertain` (the ventricle was barely found), `psf_at_bound` (the estimated point-spread
@@ -2159,11 +2165,10 @@ export interface components {
              *
              *     Preset `paper`: `not_converged` (a surface has less than 95 % of its particles within one voxel of its border), `step_limit` (a mesh was still
              *     moving after `deform.max_steps`).
-             *
-             *     Both: `myocardial_volume_not_conserved` (the wall's volume varies by more than 5 % over the cycle), `surfaces_cross` (a cavity is not smaller
-             *     than the volume inside the outer surface).
              */
             flags: string[];
+            /** @description What the result was judged by, each with where it begins to count and where it is a flag. Empty in reports of versions before 0.2. */
+            checks: components["schemas"]["Check"][];
         };
         /** @description Whether the service can take work. */
         Ready: {
