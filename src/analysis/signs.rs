@@ -134,10 +134,11 @@ fn opposed_percent(percent: &[Option<f64>], places: &Places) -> f64 {
     if around <= 0.0 {
         return 0.0;
     }
+    // Of what differs from the mean: the wall's area is not spread evenly over the angles.
     let harmonic = |order: f64| {
         let part = |wave: fn(f64) -> f64| {
             let weighted: Vec<Option<f64>> = (percent.iter().zip(&places.of_vertex))
-                .map(|(value, place)| Some((*value)? * wave((order * place.as_ref()?.degrees).to_radians())))
+                .map(|(value, place)| Some(((*value)? - around) * wave((order * place.as_ref()?.degrees).to_radians())))
                 .collect();
             mean(&weighted, places, |vertex| places.of_vertex[vertex].is_some_and(|place| (MIDDLE.0..RING).contains(&place.radius)))
         };
@@ -194,6 +195,7 @@ fn base_height_mm(gate: &GateReconstruction, places: &Places) -> f64 {
 mod tests {
     use super::*;
     use crate::{
+        analysis::{Place, RotationSource},
         study::{Acquisition, Format, Gate},
         volume::Volume,
     };
@@ -240,6 +242,38 @@ mod tests {
         let signs = gating(&[80.0, 80.0, 80.0, 20.0], &[4.0, 2.0, 3.0, 4.0]).unwrap();
         assert!((signs.least_gate_percent - 25.0).abs() < 1e-4, "{signs:?}");
         assert!(gating(&[0.0; 4], &[4.0, 2.0, 3.0, 4.0]).unwrap().least_gate_percent.abs() < 1e-12);
+    }
+
+    /// Vertices every 5° on rings of the polar map, more area on one side.
+    fn rings() -> Places {
+        let place = |ring: usize, step: usize| {
+            let degrees = 5.0 * step as f64;
+            let area_mm2 = 10.0 + 6.0 * (2.0 * degrees.to_radians()).cos();
+            Some(Place { segment: 1, degrees, radius: 0.05 + 0.1 * ring as f64, area_mm2 })
+        };
+        Places {
+            of_vertex: (0..10).flat_map(|ring| (0..72).map(move |step| place(ring, step))).collect(),
+            axes: [DVec3::X, DVec3::Y, DVec3::Z],
+            centre_mm: DVec3::ZERO,
+            rotation: RotationSource::Given,
+        }
+    }
+
+    fn opposed(counts: impl Fn(&Place) -> f64) -> f64 {
+        let places = rings();
+        let percent: Vec<Option<f64>> = places.of_vertex.iter().flatten().map(|place| Some(counts(place))).collect();
+        opposed_percent(&percent, &places)
+    }
+
+    #[test]
+    fn opposite_sides_that_are_dim_are_seen_and_one_side_or_an_uneven_mesh_is_not() {
+        assert!(opposed(|_| 80.0) < 1e-9);
+        let wave = |order: f64| move |place: &Place| 80.0 + 16.0 * (order * place.degrees.to_radians()).cos();
+        let (both, one) = (opposed(wave(2.0)), opposed(wave(1.0)));
+        assert!(both > 15.0 && one < 1e-9, "{both} {one}");
+        let ends = opposed(|place| if (0.5..0.75).contains(&place.radius) { 90.0 } else { 60.0 });
+        let apex = opposed(|place| if place.radius < 0.3 { 60.0 } else { 90.0 });
+        assert!(ends > 30.0 && apex < 1e-9, "{ends} {apex}");
     }
 
     #[test]

@@ -130,7 +130,10 @@ fn every_stage_and_every_flag_is_told_in_the_contract() {
         .collect();
     assert!(flags.len() >= 16 && flags.contains("gating"), "{flags:?}");
     let quality = told("/components/schemas/Quality/properties/flags");
+    // The tables of all languages have the same keys, or the pages do not build.
+    let words = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("web/src/languages/en.ts")).unwrap();
     for flag in flags {
         assert!(quality.contains(&format!("`{flag}`")), "{flag} is not told: {quality}");
+        assert!(words.contains(&format!("\"flag.{flag}\":")), "the pages have no words for {flag}");
     }
 }

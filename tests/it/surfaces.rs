@@ -38,8 +38,10 @@ pub(crate) fn beating(gates: usize, level: u32, orientation: Option<Orientation>
     };
     let gate = |gate: usize| {
         let (inner, outer) = axes(gate);
-        let bright = |point: DVec3| ((point - centre) / inner).length() > 1.0 && ((point - centre) / outer).length() < 1.0;
-        let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| if bright(grid.position_mm([z, y, x])) { 100.0 } else { 5.0 });
+        // From 5 to 100 over the width of a voxel, so that it does not matter much how the grid lies.
+        let inside = |point: DVec3, axes: DVec3| 0.5 + (1.0 - ((point - centre) / axes).length()) * axes.x / grid.spacing_mm[0];
+        let bright = |point: DVec3| inside(point, outer).clamp(0.0, 1.0) - inside(point, inner).clamp(0.0, 1.0);
+        let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| 5.0 + 95.0 * bright(grid.position_mm([z, y, x])) as f32);
         Gate { volume: Volume { grid, counts }, duration_ms: Some(800.0 / gates as f64) }
     };
     let study = Study { grid, gates: (0..gates).map(gate).collect(), orientation, acquisition, warnings: Vec::new() };

@@ -127,12 +127,13 @@ impl Kind {
         self.flags().is_empty()
     }
 
-    /// Studies of this kind in either half.
-    fn studies(self) -> usize {
-        match self {
-            Self::Good => 36,
-            Self::Clinic => 16,
-            _ => 8,
+    /// Studies of this kind in a half.
+    fn studies(self, half: Half) -> usize {
+        match (self, half) {
+            (Self::Good, _) => 36,
+            (Self::Clinic, _) => 16,
+            (_, Half::Setting) => 8,
+            (_, Half::Published) => 12,
         }
     }
 }
@@ -176,7 +177,7 @@ pub struct Damage {
 pub fn studies(half: Half) -> Vec<Spoiled> {
     let first = if half == Half::Setting { 500_000 } else { 700_000 };
     let of_kind = |(index, kind): (usize, Kind)| {
-        (0..kind.studies()).map(move |number| {
+        (0..kind.studies(half)).map(move |number| {
             let seed = first + 1000 * index as u64 + number as u64;
             let mut draw = Draw::of(seed);
             let (mut phantom, damage) = make(kind, number, &mut draw);
@@ -357,4 +358,63 @@ fn doubled(counts: &Array3<f32>, by: [isize; 3], part: f64) -> Array3<f32> {
         let other = counts[[from(z, by[0], nz), from(y, by[1], ny), from(x, by[2], nx)]];
         ((1.0 - part) * f64::from(counts[[z, y, x]]) + part * f64::from(other)) as f32
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        phantom,
+        study::{Acquisition, Format, Gate},
+        volume::Volume,
+    };
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn what_is_published_is_large_and_shares_no_seed_with_what_set_the_limits() {
+        let (setting, published) = (studies(Half::Setting), studies(Half::Published));
+        assert!(published.len() >= 200, "{}", published.len());
+        let seeds: BTreeSet<_> = setting.iter().chain(&published).map(|study| study.phantom.imaging.noise_seed).collect();
+        assert_eq!(seeds.len(), setting.len() + published.len());
+        for study in &published {
+            assert!(phantom::truth(&study.phantom).is_ok(), "{}", study.name);
+            assert!(study.damage == Damage::default() || !study.kind.is_good(), "{}", study.name);
+        }
+    }
+
+    fn ramp() -> Study {
+        let grid = Grid { shape: [3, 2, 4], spacing_mm: [5.0, 4.0, 4.0] };
+        let gate = |gate: usize| {
+            let counts = Array3::from_shape_fn(grid.shape, |(z, y, x)| (1000 * gate + 100 * z + 10 * y + x) as f32);
+            Gate { volume: Volume { grid, counts }, duration_ms: None }
+        };
+        let gates = (1..=4).map(gate).collect();
+        Study { grid, gates, orientation: None, acquisition: Acquisition::unknown(Format::Phantom), warnings: Vec::new() }
+    }
+
+    #[test]
+    fn gates_change_places_and_the_last_lose_counts() {
+        let done = Damage { order: Some(vec![2, 3, 0, 1]), last_gates: vec![0.5], ..Damage::default() }.done_to(&ramp());
+        let firsts: Vec<f32> = done.gates.iter().map(|gate| gate.volume.counts[[0, 0, 0]]).collect();
+        assert!(firsts.iter().zip([3000.0, 4000.0, 1000.0, 1000.0]).all(|(found, expected)| (found - expected).abs() < 1e-3), "{firsts:?}");
+    }
+
+    #[test]
+    fn what_is_cut_keeps_its_place() {
+        let damage = Damage { kept: Some([[1, 3], [0, 2], [1, 4]]), ..Damage::default() };
+        let (whole, done) = (ramp(), damage.done_to(&ramp()));
+        assert_eq!((done.grid.shape, done.gates[0].volume.counts.dim()), ([2, 2, 3], (2, 2, 3)));
+        let offset_mm = damage.offset_mm(&whole.grid);
+        assert_eq!(offset_mm, DVec3::new(-4.0, 0.0, -5.0));
+        let voxel = whole.grid.voxel_at(done.grid.position_mm([0, 1, 2]) - offset_mm).unwrap();
+        assert!((whole.gates[0].volume.counts[voxel] - done.gates[0].volume.counts[[0, 1, 2]]).abs() < 1e-6);
+    }
+
+    #[test]
+    fn who_moved_is_in_both_places() {
+        let done = Damage { moved: Some(([0, 0, 2], 0.25)), ..Damage::default() }.done_to(&ramp());
+        let counts = &done.gates[0].volume.counts;
+        assert!((counts[[0, 0, 3]] - (0.75 * 1003.0 + 0.25 * 1001.0)).abs() < 1e-3);
+        assert!((counts[[0, 0, 0]] - 1000.0).abs() < 1e-3, "the edge is repeated");
+    }
 }
