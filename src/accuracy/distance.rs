@@ -1,6 +1,10 @@
 //! How far a found surface lies from the exact one.
 
-use crate::mesh::{Mesh, distance::Triangles};
+use crate::{
+    mesh::{Mesh, distance::Triangles},
+    phantom::ExactSurfaces,
+    pipeline::{PerSurface, Reconstruction},
+};
 
 /// Mean distances in mm between a found surface and the exact one.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,6 +24,25 @@ pub fn between(found: &Mesh, exact: &Mesh, lid_from: usize) -> Option<Distances>
     let back = mean(exact, &of_found, |_| true)?;
     let wall_mm = mean(exact, &of_found, |vertex| vertex < lid_from)?;
     Some(Distances { closed_mm: f64::midpoint(there, back), wall_mm })
+}
+
+/// Mean over the gates of both surfaces' distances from the exact ones of each gate. `None` where a gate has none, or a vertex is not finite.
+pub fn over_the_cycle(found: &Reconstruction, exact: impl Fn(usize) -> Option<ExactSurfaces>) -> Option<PerSurface<Distances>> {
+    let mut sums = PerSurface::of(|_| (0.0, 0.0));
+    for (gate, reconstructed) in found.gates.iter().enumerate() {
+        let exact = exact(gate)?;
+        let endocardial = between(&reconstructed.fits.endocardial.mesh, &exact.endocardial, exact.lid_from)?;
+        let epicardial = between(&reconstructed.fits.epicardial.mesh, &exact.epicardial, exact.lid_from)?;
+        for (sum, one) in [(&mut sums.endocardial, endocardial), (&mut sums.epicardial, epicardial)] {
+            sum.0 += one.closed_mm;
+            sum.1 += one.wall_mm;
+        }
+    }
+    let gates = found.gates.len() as f64;
+    Some(PerSurface::of(|surface| {
+        let (closed, wall) = *sums.get(surface);
+        Distances { closed_mm: closed / gates, wall_mm: wall / gates }
+    }))
 }
 
 /// Mean distance of a mesh's chosen vertices to triangles, weighted by area.

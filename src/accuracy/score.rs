@@ -276,29 +276,10 @@ fn scored(member: &Member, simulation: &Simulation, found: &Reconstruction) -> O
     Outcome::Found(Box::new(Score {
         found: values,
         truth,
-        distance: distances(member, found),
+        distance: distance::over_the_cycle(found, |gate| member.phantom.exact_surfaces(gate)),
         pose: pose_error(member, found),
         model: model_said(member, found, &values, &truth),
         warnings,
-    }))
-}
-
-/// Mean over the gates of both surfaces' distances.
-fn distances(member: &Member, found: &Reconstruction) -> Option<PerSurface<distance::Distances>> {
-    let mut sums = PerSurface::of(|_| (0.0, 0.0));
-    for (gate, reconstructed) in found.gates.iter().enumerate() {
-        let exact = member.phantom.exact_surfaces(gate)?;
-        let endocardial = distance::between(&reconstructed.fits.endocardial.mesh, &exact.endocardial, exact.lid_from)?;
-        let epicardial = distance::between(&reconstructed.fits.epicardial.mesh, &exact.epicardial, exact.lid_from)?;
-        for (sum, one) in [(&mut sums.endocardial, endocardial), (&mut sums.epicardial, epicardial)] {
-            sum.0 += one.closed_mm;
-            sum.1 += one.wall_mm;
-        }
-    }
-    let gates = found.gates.len() as f64;
-    Some(PerSurface::of(|surface| {
-        let (closed, wall) = *sums.get(surface);
-        distance::Distances { closed_mm: closed / gates, wall_mm: wall / gates }
     }))
 }
 

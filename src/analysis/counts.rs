@@ -11,6 +11,13 @@ use rayon::prelude::*;
 /// Distance of the samples along a line through the wall, in mm: well below any camera's blur.
 const STEP_MM: f64 = 1.0;
 
+/// The total of each gate over the mean of all; 1 for a gate without counts.
+pub(super) fn levels(study: &Study) -> Vec<f64> {
+    let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
+    let usual = totals.iter().sum::<f64>() / totals.len() as f64;
+    totals.into_iter().map(|total| if total > 0.0 { total / usual } else { 1.0 }).collect()
+}
+
 /// The mean of the counts between the vertex on the endocardial and the one on the epicardial surface, `[gates][vertices]`, each gate's on its
 /// own surfaces, so that the heart's motion does not blur it. `None` in the lid.
 ///
@@ -20,15 +27,12 @@ const STEP_MM: f64 = 1.0;
 ///
 /// Each gate is brought to the mean total of the gates: what beats and moves keeps its counts, and a gate with fewer has fewer beats.
 pub(super) fn along_the_wall(study: &Study, reconstruction: &Reconstruction, places: &Places) -> Vec<Vec<Option<f64>>> {
-    let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
-    let usual = totals.iter().sum::<f64>() / totals.len() as f64;
     study
         .gates
         .par_iter()
         .zip(&reconstruction.gates)
-        .zip(&totals)
-        .map(|((gate, result), &total)| {
-            let level = if total > 0.0 { total / usual } else { 1.0 };
+        .zip(&levels(study))
+        .map(|((gate, result), level)| {
             let mesh = |surface: Surface| &result.fits.get(surface).mesh.positions;
             let lines = mesh(Surface::Endocardial).iter().zip(mesh(Surface::Epicardial));
             lines

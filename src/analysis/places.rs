@@ -95,6 +95,15 @@ impl Places {
         Self { of_vertex, axes: [anterior, septal, to_base], centre_mm, rotation }
     }
 
+    /// Height of the middle of a surface's lid along the long axis in mm; `None` without a lid.
+    pub(super) fn base_height_mm(&self, mesh: &Mesh) -> Option<f64> {
+        let lid: Vec<f64> = (mesh.positions.iter().zip(&self.of_vertex))
+            .filter(|(_, place)| place.is_none())
+            .map(|(&position, _)| (position - self.centre_mm).dot(self.axes[2]))
+            .collect();
+        (!lid.is_empty()).then(|| lid.iter().sum::<f64>() / lid.len() as f64)
+    }
+
     /// Area of the wall, half way through it, in mm².
     pub fn area_mm2(&self) -> f64 {
         self.of_vertex.iter().flatten().map(|place| place.area_mm2).sum()

@@ -1,7 +1,10 @@
 //! The seventeen segments of the left ventricle (Cerqueira et al., Circulation 2002;105:539, "AHA") and the territories of the coronary
 //! arteries that the same statement assigns them to.
 
-use super::{phase::circular_mean, places::Places};
+use super::{
+    phase::circular_mean,
+    places::{Place, Places},
+};
 
 /// Number of segments.
 pub const SEGMENTS: usize = 17;
@@ -93,18 +96,21 @@ pub enum Average {
 
 /// Means over each segment, weighted by the wall's area; `None` where a segment has no vertex with a value. `[SEGMENTS]`.
 pub fn means(values: &[Option<f64>], places: &Places, average: Average) -> Vec<Option<f64>> {
-    ALL.iter().map(|segment| mean_where(values, places, average, |number| number == segment.number)).collect()
+    ALL.iter().map(|segment| mean_where(values, places, average, |place| place.segment == segment.number)).collect()
 }
 
 /// Means over each territory likewise, in the order of [`Territory::ALL`].
 pub fn territory_means(values: &[Option<f64>], places: &Places, average: Average) -> Vec<Option<f64>> {
-    Territory::ALL.iter().map(|&territory| mean_where(values, places, average, |number| ALL[number - 1].territory == territory)).collect()
+    Territory::ALL
+        .iter()
+        .map(|&territory| mean_where(values, places, average, |place| ALL[place.segment - 1].territory == territory))
+        .collect()
 }
 
-/// The mean over the vertices of some segments, weighted by the wall's area.
-pub fn mean_where(values: &[Option<f64>], places: &Places, average: Average, wanted: impl Fn(usize) -> bool) -> Option<f64> {
+/// The mean over the vertices of some places, weighted by the wall's area.
+pub fn mean_where(values: &[Option<f64>], places: &Places, average: Average, wanted: impl Fn(&Place) -> bool) -> Option<f64> {
     let of_wanted = values.iter().zip(&places.of_vertex).filter_map(|(value, place)| {
-        let place = place.as_ref().filter(|place| wanted(place.segment))?;
+        let place = place.as_ref().filter(|place| wanted(place))?;
         Some(((*value)?, place.area_mm2))
     });
     if average == Average::Circular {

@@ -33,8 +33,7 @@ impl Shape {
         let heights: Vec<f64> = mesh.positions.iter().map(|&point| height(point)).collect();
         let (tip, top) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &h| (low.min(h), high.max(h)));
         // The valve plane may tilt: its middle is where the lid's is.
-        let lid: Vec<f64> = heights.iter().zip(&places.of_vertex).filter_map(|(&h, place)| place.is_none().then_some(h)).collect();
-        let base = if lid.is_empty() { top } else { lid.iter().sum::<f64>() / lid.len() as f64 };
+        let base = places.base_height_mm(mesh).unwrap_or(top);
         let long_axis_mm = base - tip;
         let widest_mm2 = (1..LEVELS)
             .map(|level| mesh.section_mm2(places.centre_mm + to_base * (tip + (top - tip) * level as f64 / LEVELS as f64), to_base))

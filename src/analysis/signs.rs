@@ -1,9 +1,14 @@
 //! Signs that speak against a study or its reconstruction: what surrounds the wall, what of it the image does not hold, how the gates go together,
 //! what the valve plane does. They are judged by `report::quality`, which says where the limits come from.
 
-use super::{perfusion::Perfusion, places::Places};
+use super::{
+    counts,
+    perfusion::Perfusion,
+    places::{Place, Places},
+    segments::{self, Average},
+};
 use crate::{
-    pipeline::{GateReconstruction, Reconstruction, Surface},
+    pipeline::{Reconstruction, Surface},
     study::Study,
     volume::{Grid, sample_scalar},
 };
@@ -68,10 +73,11 @@ impl Signs {
         cavity_ml: &[f64],
         ends: (usize, usize),
     ) -> Self {
-        let in_ring = |vertex: usize| places.of_vertex[vertex].is_some_and(|place| place.radius > RING);
-        let diastole = &reconstruction.gates[ends.0];
+        let in_ring = |place: &Place| place.radius > RING;
+        let inner = |gate: usize| &reconstruction.gates[gate].fits.get(Surface::Endocardial).mesh;
+        let base_mm = |gate: usize| places.base_height_mm(inner(gate)).unwrap_or(0.0);
         let lit = lit(study);
-        let outer = &diastole.fits.get(Surface::Epicardial).mesh.positions;
+        let outer = &reconstruction.gates[ends.0].fits.get(Surface::Epicardial).mesh.positions;
         let unseen: Vec<Option<f64>> =
             outer.iter().map(|&point| Some(if is_lit(&lit, &study.grid, point) { 0.0 } else { 100.0 })).collect();
         let bright = BRIGHT * perfusion.maximum_counts;
@@ -84,8 +90,7 @@ impl Signs {
             unseen_base_percent: mean(&unseen, places, in_ring),
             base_counts_percent: mean(&perfusion.percent, places, in_ring),
             bright_beside_percent: mean(&bright, places, |_| true),
-            base_motion_mm: (reconstruction.gates.len() > 1)
-                .then(|| base_height_mm(diastole, places) - base_height_mm(&reconstruction.gates[ends.1], places)),
+            base_motion_mm: (reconstruction.gates.len() > 1).then(|| base_mm(ends.0) - base_mm(ends.1)),
         }
     }
 }
@@ -111,25 +116,14 @@ impl GatingSigns {
     }
 }
 
-/// The mean of a quantity over chosen vertices of the wall, weighted by area; 0 without any.
-fn mean(values: &[Option<f64>], places: &Places, chosen: impl Fn(usize) -> bool) -> f64 {
-    let (mut sum, mut area) = (0.0, 0.0);
-    for (vertex, (value, place)) in values.iter().zip(&places.of_vertex).enumerate() {
-        if let (Some(value), Some(place)) = (value, place)
-            && chosen(vertex)
-        {
-            sum += value * place.area_mm2;
-            area += place.area_mm2;
-        }
-    }
-    if area > 0.0 { sum / area } else { 0.0 }
+/// The mean of a quantity over some places of the wall, weighted by area; 0 without any.
+fn mean(values: &[Option<f64>], places: &Places, chosen: impl Fn(&Place) -> bool) -> f64 {
+    segments::mean_where(values, places, Average::Plain, chosen).unwrap_or(0.0)
 }
 
 /// See [`Signs::opposed_percent`]. Around the axis the wall between the apical third and the ring counts, along it apex, middle and base.
 fn opposed_percent(percent: &[Option<f64>], places: &Places) -> f64 {
-    let of_band = |low: f64, high: f64| {
-        mean(percent, places, |vertex| places.of_vertex[vertex].is_some_and(|place| (low..high).contains(&place.radius)))
-    };
+    let of_band = |low: f64, high: f64| mean(percent, places, |place| (low..high).contains(&place.radius));
     let around = of_band(MIDDLE.0, RING);
     if around <= 0.0 {
         return 0.0;
@@ -140,7 +134,7 @@ fn opposed_percent(percent: &[Option<f64>], places: &Places) -> f64 {
             let weighted: Vec<Option<f64>> = (percent.iter().zip(&places.of_vertex))
                 .map(|(value, place)| Some(((*value)? - around) * wave((order * place.as_ref()?.degrees).to_radians())))
                 .collect();
-            mean(&weighted, places, |vertex| places.of_vertex[vertex].is_some_and(|place| (MIDDLE.0..RING).contains(&place.radius)))
+            mean(&weighted, places, |place| (MIDDLE.0..RING).contains(&place.radius))
         };
         2.0 * part(f64::cos).hypot(part(f64::sin))
     };
@@ -166,11 +160,8 @@ fn is_lit(lit: &[bool], grid: &Grid, point_mm: DVec3) -> bool {
 /// Counts beside the wall at every vertex: the mean over the gates, each on its own surface and brought to the gates' mean total. 0 outside of the grid.
 fn beside(study: &Study, reconstruction: &Reconstruction) -> Vec<f64> {
     let away_mm = BESIDE * reconstruction.model.as_ref().map_or(USUAL_FWHM_MM, |model| model.psf.fwhm_mm);
-    let totals: Vec<f64> = study.gates.iter().map(|gate| gate.volume.total()).collect();
-    let usual = totals.iter().sum::<f64>() / totals.len() as f64;
-    let of_gates: Vec<Vec<f64>> = (study.gates.par_iter().zip(&reconstruction.gates).zip(&totals))
-        .map(|((gate, result), &total)| {
-            let level = if total > 0.0 { total / usual } else { 1.0 };
+    let of_gates: Vec<Vec<f64>> = (study.gates.par_iter().zip(&reconstruction.gates).zip(&counts::levels(study)))
+        .map(|((gate, result), level)| {
             let mesh = &result.fits.get(Surface::Epicardial).mesh;
             let at = |(&position, normal): (&DVec3, DVec3)| {
                 let point = position + normal * away_mm;
@@ -183,19 +174,11 @@ fn beside(study: &Study, reconstruction: &Reconstruction) -> Vec<f64> {
     (0..of_gates[0].len()).map(|vertex| of_gates.iter().map(|gate| gate[vertex]).sum::<f64>() / of_gates.len() as f64).collect()
 }
 
-/// Height of the endocardial lid's middle along the long axis in mm; 0 without a lid.
-fn base_height_mm(gate: &GateReconstruction, places: &Places) -> f64 {
-    let positions = &gate.fits.get(Surface::Endocardial).mesh.positions;
-    let lid = || positions.iter().zip(&places.of_vertex).filter(|(_, place)| place.is_none()).map(|(position, _)| *position);
-    let count = lid().count();
-    if count == 0 { 0.0 } else { lid().map(|position| (position - places.centre_mm).dot(places.axes[2])).sum::<f64>() / count as f64 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
-        analysis::{Place, RotationSource},
+        analysis::RotationSource,
         study::{Acquisition, Format, Gate},
         volume::Volume,
     };

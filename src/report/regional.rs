@@ -1,7 +1,7 @@
 //! The wall by segments and territories: perfusion, thickness, thickening, motion, phase.
 
 use crate::analysis::{
-    Analysis, Places, RotationSource,
+    Analysis, Place, Places, RotationSource,
     segments::{self, Average, Territory},
 };
 use serde::{Deserialize, Serialize};
@@ -99,7 +99,7 @@ impl RegionalSummary {
     /// Of an analysis.
     pub(super) fn of(analysis: &Analysis) -> Self {
         let places = &analysis.places;
-        let values = |wanted: &dyn Fn(usize) -> bool| values(analysis, wanted);
+        let values = |wanted: &dyn Fn(&Place) -> bool| values(analysis, wanted);
         Self {
             rotation: Rotation::of(places),
             segments: segments::ALL
@@ -108,14 +108,14 @@ impl RegionalSummary {
                     segment: segment.number,
                     name: segment.name.to_owned(),
                     territory: segment.territory.name().to_owned(),
-                    values: values(&|number| number == segment.number),
+                    values: values(&|place| place.segment == segment.number),
                 })
                 .collect(),
             territories: Territory::ALL
                 .iter()
                 .map(|&territory| TerritoryReport {
                     territory: territory.name().to_owned(),
-                    values: values(&|number| segments::ALL[number - 1].territory == territory),
+                    values: values(&|place| segments::ALL[place.segment - 1].territory == territory),
                 })
                 .collect(),
             whole: values(&|_| true),
@@ -123,11 +123,11 @@ impl RegionalSummary {
     }
 }
 
-fn values(analysis: &Analysis, wanted: &dyn Fn(usize) -> bool) -> RegionalValues {
+fn values(analysis: &Analysis, wanted: &dyn Fn(&Place) -> bool) -> RegionalValues {
     let places = &analysis.places;
     let mean = |values: &[Option<f64>]| segments::mean_where(values, places, Average::Plain, wanted);
     let gated = analysis.walls.thickness_mm.len() > 1;
-    let area_mm2: f64 = places.of_vertex.iter().flatten().filter(|place| wanted(place.segment)).map(|place| place.area_mm2).sum();
+    let area_mm2: f64 = places.of_vertex.iter().flatten().filter(|place| wanted(place)).map(|place| place.area_mm2).sum();
     RegionalValues {
         area_cm2: area_mm2 / 100.0,
         perfusion_percent: mean(&analysis.perfusion.percent),

@@ -6,8 +6,8 @@ use super::{
 };
 use crate::{
     analysis,
-    phantom::{self, PhantomError, Simulation},
-    pipeline::{self, Reconstruction, Surface, monitor::Silent, parameters::Parameters},
+    phantom::{self, ExactSurfaces, PhantomError, Simulation},
+    pipeline::{self, Reconstruction, monitor::Silent, parameters::Parameters},
     report::{self, Quality, Timing},
 };
 
@@ -86,15 +86,11 @@ pub fn run(spoiled: &Spoiled) -> Result<Run, PhantomError> {
 /// The larger of both surfaces' mean distances over the gates in mm; infinite where it cannot be measured.
 fn distance_mm(spoiled: &Spoiled, found: &Reconstruction) -> f64 {
     let offset_mm = spoiled.damage.offset_mm(&spoiled.phantom.imaging.grid);
-    let mean = |surface: Surface| {
-        let mut sum = 0.0;
-        for (place, gate) in found.gates.iter().enumerate() {
-            let exact = spoiled.phantom.exact_surfaces(spoiled.damage.gate_at(place))?;
-            let exact_mesh = if surface == Surface::Endocardial { &exact.endocardial } else { &exact.epicardial };
-            let there = gate.fits.get(surface).mesh.map(|point| point - offset_mm);
-            sum += distance::between(&there, exact_mesh, exact.lid_from)?.closed_mm;
-        }
-        Some(sum / found.gates.len() as f64)
+    let exact = |place: usize| {
+        let exact = spoiled.phantom.exact_surfaces(spoiled.damage.gate_at(place))?;
+        let [endocardial, epicardial] = [&exact.endocardial, &exact.epicardial].map(|mesh| mesh.map(|point| point + offset_mm));
+        Some(ExactSurfaces { endocardial, epicardial, ..exact })
     };
-    [Surface::Endocardial, Surface::Epicardial].map(|surface| mean(surface).unwrap_or(f64::INFINITY)).into_iter().fold(0.0, f64::max)
+    let mean = distance::over_the_cycle(found, exact);
+    mean.map_or(f64::INFINITY, |mean| mean.endocardial.closed_mm.max(mean.epicardial.closed_mm))
 }
