@@ -26,6 +26,7 @@ pub mod pose;
 pub mod region;
 pub mod rest;
 mod rings;
+pub mod simd;
 pub mod smooth;
 pub mod thickness;
 pub mod trace;

@@ -3,7 +3,7 @@
 
 mod scan;
 
-use scan::{paths, tokens};
+use scan::{Token, paths, tokens};
 use std::{collections::BTreeSet, fmt, fs, path::Path};
 
 /// What one module of the library may use.
@@ -285,6 +285,18 @@ fn every_module_imports_only_what_the_table_allows() {
     assert!(broken.is_empty(), "\n{}", broken.join("\n"));
     let ruled: BTreeSet<String> = RULES.iter().map(|rule| rule.module.to_owned()).collect();
     assert_eq!(seen, ruled, "modules of src and rows of the table");
+}
+
+#[test]
+fn one_module_alone_has_unsafe_code() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut unsafe_files: Vec<_> = files(&source, &[])
+        .into_iter()
+        .filter(|(path, _)| tokens(&fs::read_to_string(path).unwrap()).iter().any(|(_, token)| *token == Token::Name("unsafe".to_owned())))
+        .map(|(path, _)| path.strip_prefix(&source).unwrap().to_owned())
+        .collect();
+    unsafe_files.sort();
+    assert_eq!(unsafe_files, [Path::new("pipeline/simd.rs")]);
 }
 
 #[test]
