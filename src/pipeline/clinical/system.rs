@@ -4,7 +4,7 @@ use super::{
     counts::Counts,
     exposure::{ACTIVITY, COLUMNS, COLUMNS_WITHOUT_MAP, MAP, UPTAKE, Want, expose},
     fit::{Plan, ROBUST, State, Vicinity, compared},
-    gram::{Gram, TILE},
+    gram::{self, Gram},
     linear::{Arrow, Block},
     priors::{LocalPrior, Priors},
     shape::{BASE, LOCAL, SURFACES, Volumes},
@@ -262,7 +262,7 @@ fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan, vici
     let mut gram = Gram::new(n + 1);
     let mut misfit = Misfit::default();
     let noise = NOISE * (plan.correlated * NOISE_MM3 / crop.spacing_mm.iter().product::<f64>()).sqrt();
-    let mut row = vec![0.0_f32; (n + 1).next_multiple_of(TILE)];
+    let mut row = vec![0.0_f32; (n + 1).next_multiple_of(gram::WIDTH)];
     for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
         if !counts.known[voxel] || !compared(place, &vicinity.shapes[gate]) {
             continue;
