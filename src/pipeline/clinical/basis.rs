@@ -107,24 +107,9 @@ impl Spot {
         }
         sum
     }
-
-    /// The basis functions that are not zero here, numbered `SPLINES × HARMONICS`.
-    pub(super) fn terms(&self) -> Vec<(usize, f64)> {
-        let of_spline = |(k, spline): (usize, &f64)| {
-            let spline = *spline;
-            self.harmonics
-                .iter()
-                .take(HARMONICS)
-                .enumerate()
-                .map(move |(h, value)| ((self.first + k) * HARMONICS + h, spline * value))
-                .collect::<Vec<_>>()
-        };
-        self.splines.iter().enumerate().flat_map(of_spline).collect()
-    }
 }
 
-/// Strides of a surface, and of the uptake map.
-pub(super) const WHOLE: (usize, usize, usize) = (HARMONICS, 0, HARMONICS);
+/// Strides of the uptake map.
 pub(super) const MAP_WHOLE: (usize, usize, usize) = (MAP_HARMONICS, 0, MAP_HARMONICS);
 
 /// Order of a harmonic's index: 0, 1, 1, 2, 2 and so on.

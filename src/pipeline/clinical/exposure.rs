@@ -8,8 +8,9 @@
 
 use super::{
     basis::{Angle, HARMONICS, MAP_HARMONICS, MAP_WHOLE, SPLINES, Spot},
+    camera::{Camera, Derived, Film, LANES, LIT, with_box},
     quadrature::gauss_legendre,
-    shape::{BASE, LOCAL, SLOPE_AT_MM, STRIDE, SURFACES, Shape, Space, THICKNESS_HARMONICS},
+    shape::{LOCAL, SLOPE_AT_MM, STRIDE, Shape, Space, THICKNESS_HARMONICS},
 };
 use crate::pipeline::Surface;
 use glam::DVec3;
@@ -22,12 +23,10 @@ pub(super) const ACTIVITY: usize = LOCAL;
 pub(super) const BLOOD: usize = LOCAL + 1;
 pub(super) const BACKGROUND: usize = LOCAL + 2;
 pub(super) const MAP: usize = LOCAL + 3;
-/// Columns of a Jacobian with and without the map, filled up to whole groups of eight.
-pub(super) const COLUMNS: usize = MAP + UPTAKE;
+/// Columns of a Jacobian with and without the map, which has [`LANES`] columns a spline: its harmonics, and one that says nothing.
+pub(super) const COLUMNS: usize = MAP + SPLINES * LANES;
 pub(super) const COLUMNS_WITHOUT_MAP: usize = MAP;
 
-/// A Gaussian is cut off at this many standard deviations: 4 ‰ of it lie beyond on each side of an axis, where the wall is thin.
-const REACH: f64 = 3.2;
 /// Distance of nodes in standard deviations: around the axis, where the rule is the trapezoid one, and along it.
 const STEP_AROUND: f64 = 1.5;
 const STEP_ALONG: f64 = 1.2;
@@ -66,40 +65,13 @@ impl Crop {
     }
 }
 
-/// An image and, if asked for, its derivatives.
-pub(super) struct Exposure {
-    /// `[voxels]`.
-    pub(super) image: Vec<f32>,
-    /// `[voxels × columns]`, empty if not asked for.
-    pub(super) jacobian: Vec<f32>,
-}
-
-/// What is asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Want {
-    Image,
-    /// Derivatives by the first so many columns.
-    Derivatives(usize),
-}
-
-/// The image of a gate for a point-spread function of `sigma_mm`, integrated by rules that were made for about this shape and width: the same
-/// rules make it a smooth function of both.
-pub(super) fn expose(crop: &Crop, space: &Space, shape: &Shape, activity: &Activity, sigma_mm: f64, rules: &Rules, want: Want) -> Exposure {
-    let columns = match want {
-        Want::Image => 0,
-        Want::Derivatives(columns) => columns,
-    };
-    let mut camera = Camera::new(crop, sigma_mm, columns);
-    let scene = Scene { space, shape, activity };
-    scene.show(&mut camera, rules);
-    camera.finish(activity)
-}
-
 /// Nodes and what they carry.
-struct Scene<'a> {
-    space: &'a Space,
-    shape: &'a Shape,
-    activity: &'a Activity,
+pub(super) struct Scene<'a> {
+    pub(super) space: &'a Space,
+    pub(super) shape: &'a Shape,
+    pub(super) activity: &'a Activity,
+    /// Of the point-spread function.
+    pub(super) sigma_mm: f64,
 }
 
 /// How finely a scene is integrated.
@@ -134,6 +106,14 @@ impl Rules {
 }
 
 impl Scene<'_> {
+    /// The image, and its derivatives where voxels are given for them, by rules that were made for about this shape and width: the same rules
+    /// make it a smooth function of both.
+    pub(super) fn expose(&self, crop: &Crop, rules: &Rules, derived: Option<Derived<'_>>, film: &mut Film) {
+        let mut camera = Camera::load(crop, self.sigma_mm, derived, film);
+        self.show(&mut camera, rules);
+        camera.finish(self.activity);
+    }
+
     fn show(&self, camera: &mut Camera<'_>, rules: &Rules) {
         let frame = &self.space.frame;
         let around = TAU / rules.angles.len() as f64;
@@ -142,15 +122,15 @@ impl Scene<'_> {
             for angle in &rules.angles {
                 self.cap_node(camera, rules, s, angle, weight * FRAC_PI_2 * around);
             }
-            camera.end_ring(&self.space.basis.splines(s), self.activity.wall);
+            camera.end_ring(&self.space.basis.splines(s));
         }
         for &(at, weight) in &rules.cylinder {
             for angle in &rules.angles {
                 self.cylinder_node(camera, rules, at, angle, weight * around);
             }
-            camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())), self.activity.wall);
+            camera.end_ring(&self.space.basis.splines(frame.s_of_height(at * self.shape.base_mm())));
         }
-        if camera.columns > 0 {
+        if camera.derives() {
             for angle in &rules.angles {
                 self.base_node(camera, rules, angle, around);
             }
@@ -212,7 +192,7 @@ impl Scene<'_> {
         let mut disc = |r: f64, area: f64, excess: f64| {
             let point_mm = self.space.frame.point_at_height(base_mm + slope * r, angle, r);
             let rise = [1.0, r * angle.cos / SLOPE_AT_MM, r * angle.sin / SLOPE_AT_MM].map(|by| (by * excess * area) as f32);
-            camera.plane(point_mm, rise);
+            camera.plane(point_mm, &rise);
         };
         for &(part, weight) in &rules.layers {
             let r = inner + (outer - inner) * part;
@@ -225,8 +205,9 @@ impl Scene<'_> {
     }
 
     fn wall(&self, camera: &mut Camera<'_>, point_mm: DVec3, spot: &Spot, uptake: f64, volume: f64) {
-        if camera.columns == 0 {
-            return camera.excess(point_mm, ((self.activity.wall * uptake - self.activity.background) * volume) as f32);
+        let excess = ((self.activity.wall * uptake - self.activity.background) * volume) as f32;
+        if !camera.derives() {
+            return camera.excess(point_mm, excess);
         }
         let mut carried = [0.0_f32; LANES];
         carried[0] = volume as f32;
@@ -237,16 +218,16 @@ impl Scene<'_> {
             }
         }
         carried[LIT] = (uptake * volume) as f32;
-        camera.volume(point_mm, carried);
+        camera.wall(point_mm, &carried, excess);
     }
 
     fn cavity(&self, camera: &mut Camera<'_>, point_mm: DVec3, volume: f64) {
-        camera.cavity(point_mm, [volume as f32, ((self.activity.blood - self.activity.background) * volume) as f32]);
+        camera.cavity(point_mm, volume as f32, ((self.activity.blood - self.activity.background) * volume) as f32);
     }
 
     /// A piece of a surface: what a mm of its radius adds, by the harmonics of mid-wall radius and thickness.
     fn border(&self, camera: &mut Camera<'_>, surface: Surface, point_mm: DVec3, spot: &Spot, uptake: f64, area: f64) {
-        if camera.columns == 0 {
+        if !camera.derives() {
             return;
         }
         let (excess, side) = match surface {
@@ -261,243 +242,6 @@ impl Scene<'_> {
                 carried[HARMONICS + h] = (side * by) as f32;
             }
         }
-        camera.surface(point_mm, carried);
+        camera.surface(point_mm, &carried);
     }
 }
-
-/// One axis of a Gaussian on the crop's voxels.
-#[derive(Clone, Copy)]
-struct AxisBlur {
-    spacing_mm: f64,
-    origin_mm: f64,
-    voxels: usize,
-    /// Of point-spread function and voxel box together.
-    sigma_mm: f64,
-}
-
-/// Standard deviation of point-spread function and voxel box together. The box has variance h²/12; its shape beyond that is lost in the blur
-/// (kurtosis 1.03 of 3 at the paper's grid).
-fn with_box(sigma_mm: f64, spacing_mm: f64) -> f64 {
-    (sigma_mm * sigma_mm + spacing_mm * spacing_mm / 12.0).sqrt()
-}
-
-/// Most voxels a cut-off Gaussian reaches along an axis; grids finer than that are cut shorter.
-const WIDEST: usize = 64;
-
-impl AxisBlur {
-    /// Fills the values of a unit Gaussian at the voxels it reaches; returns the first and how many.
-    fn fill(&self, at_mm: f64, values: &mut [f32; WIDEST]) -> (usize, usize) {
-        let at = (at_mm - self.origin_mm) / self.spacing_mm;
-        let reach = (REACH * self.sigma_mm / self.spacing_mm).min((WIDEST / 2 - 1) as f64);
-        let last = (self.voxels - 1) as f64;
-        let (low, high) = ((at - reach).ceil().max(0.0), (at + reach).floor().min(last));
-        if low > high {
-            return (0, 0);
-        }
-        let count = (high - low) as usize + 1;
-        let step = self.spacing_mm / self.sigma_mm;
-        let start = (low - at) * step;
-        let scale = 1.0 / (self.sigma_mm * TAU.sqrt());
-        // exp(−(x + k·h)²/2) by two multiplications a voxel.
-        let mut value = scale * (-0.5 * start * start).exp();
-        let mut ratio = (-start * step - 0.5 * step * step).exp();
-        let fall = (-step * step).exp();
-        for slot in &mut values[..count] {
-            *slot = value as f32;
-            value *= ratio;
-            ratio *= fall;
-        }
-        (low as usize, count)
-    }
-}
-
-/// Collects nodes into voxels.
-struct Camera<'a> {
-    crop: &'a Crop,
-    axes: [AxisBlur; 3],
-    columns: usize,
-    image: Vec<f32>,
-    jacobian: Vec<f32>,
-    /// Of the ring at hand, `[voxels]`: surface harmonics; wall harmonics and uptake.
-    of_surface: Vec<[f32; STRIDE]>,
-    of_wall: Vec<[f32; LANES]>,
-    /// Of all rings, `[voxels]`: wall with uptake, wall, cavity.
-    lit: Vec<f32>,
-    wall: Vec<f32>,
-    cavity: Vec<f32>,
-    /// Voxels the ring at hand has reached, `[low, end]` along `[z, y, x]`.
-    touched: [[usize; 2]; 3],
-}
-
-impl<'a> Camera<'a> {
-    fn new(crop: &'a Crop, sigma_mm: f64, columns: usize) -> Self {
-        let axes: [AxisBlur; 3] = std::array::from_fn(|axis| {
-            let spacing_mm = crop.spacing_mm[axis];
-            AxisBlur { spacing_mm, origin_mm: crop.origin_mm[axis], voxels: crop.shape[axis], sigma_mm: with_box(sigma_mm, spacing_mm) }
-        });
-        let voxels = crop.voxels();
-        let derived = if columns > 0 { voxels } else { 0 };
-        Self {
-            crop,
-            axes,
-            columns,
-            image: vec![0.0; voxels],
-            jacobian: vec![0.0; derived * columns],
-            of_surface: vec![[0.0; STRIDE]; derived],
-            of_wall: vec![[0.0; LANES]; derived],
-            lit: vec![0.0; derived],
-            wall: vec![0.0; derived],
-            cavity: vec![0.0; derived],
-            touched: [[usize::MAX, 0]; 3],
-        }
-    }
-
-    /// Calls `each(first voxel of a row, weight of the row, values along x)` for the rows a Gaussian at a point reaches.
-    fn rows(&mut self, point_mm: DVec3, mut each: impl FnMut(&mut Self, usize, f32, &[f32])) {
-        let mut values = [[0.0_f32; WIDEST]; 3];
-        let mut spans = [(0, 0); 3];
-        for (axis, at_mm) in [point_mm.z, point_mm.y, point_mm.x].into_iter().enumerate() {
-            spans[axis] = self.axes[axis].fill(at_mm, &mut values[axis]);
-            if spans[axis].1 == 0 {
-                return;
-            }
-        }
-        for (touched, (first, count)) in self.touched.iter_mut().zip(spans) {
-            *touched = [touched[0].min(first), touched[1].max(first + count)];
-        }
-        let [_, ny, nx] = self.crop.shape;
-        let [(z0, nz_), (y0, ny_), (x0, nx_)] = spans;
-        for z in 0..nz_ {
-            for y in 0..ny_ {
-                let weight = values[0][z] * values[1][y];
-                let start = ((z0 + z) * ny + y0 + y) * nx + x0;
-                each(self, start, weight, &values[2][..nx_]);
-            }
-        }
-    }
-
-    fn excess(&mut self, point_mm: DVec3, excess: f32) {
-        self.rows(point_mm, |camera, start, weight, along| {
-            for (voxel, value) in camera.image[start..].iter_mut().zip(along) {
-                *voxel += weight * excess * value;
-            }
-        });
-    }
-
-    fn volume(&mut self, point_mm: DVec3, carried: [f32; LANES]) {
-        self.rows(point_mm, |camera, start, weight, along| {
-            for (lanes, value) in camera.of_wall[start..].iter_mut().zip(along) {
-                let weight = weight * value;
-                for (to, what) in lanes.iter_mut().zip(carried) {
-                    *to += weight * what;
-                }
-            }
-        });
-    }
-
-    fn cavity(&mut self, point_mm: DVec3, [volume, excess]: [f32; 2]) {
-        let derived = self.columns > 0;
-        self.rows(point_mm, |camera, start, weight, along| {
-            for (voxel, value) in camera.image[start..].iter_mut().zip(along) {
-                *voxel += weight * excess * value;
-            }
-            if derived {
-                for (voxel, value) in camera.cavity[start..].iter_mut().zip(along) {
-                    *voxel += weight * volume * value;
-                }
-            }
-        });
-    }
-
-    fn surface(&mut self, point_mm: DVec3, carried: [f32; STRIDE]) {
-        self.rows(point_mm, |camera, start, weight, along| {
-            for (eight, value) in camera.of_surface[start..].iter_mut().zip(along) {
-                let weight = weight * value;
-                for (to, what) in eight.iter_mut().zip(carried) {
-                    *to += weight * what;
-                }
-            }
-        });
-    }
-
-    fn plane(&mut self, point_mm: DVec3, carried: [f32; 3]) {
-        let columns = self.columns;
-        self.rows(point_mm, |camera, start, weight, along| {
-            for (voxel, value) in along.iter().enumerate() {
-                let row = &mut camera.jacobian[(start + voxel) * columns + BASE..][..3];
-                for (to, what) in row.iter_mut().zip(carried) {
-                    *to += weight * value * what;
-                }
-            }
-        });
-    }
-
-    /// Hands what a ring collected to the columns of its splines.
-    fn end_ring(&mut self, (first, splines): &(usize, [f64; 4]), activity: f64) {
-        if self.columns == 0 {
-            return;
-        }
-        let [_, ny, nx] = self.crop.shape;
-        let [[z0, z1], [y0, y1], [x0, x1]] = self.touched;
-        self.touched = [[usize::MAX, 0]; 3];
-        let (splines, activity) = (splines.map(|value| value as f32), activity as f32);
-        let mapped = self.columns > MAP;
-        for z in z0..z1 {
-            for y in y0..y1 {
-                let start = (z * ny + y) * nx;
-                for voxel in start + x0..start + x1 {
-                    let row = &mut self.jacobian[voxel * self.columns..][..self.columns];
-                    let surface = std::mem::replace(&mut self.of_surface[voxel], [0.0; STRIDE]);
-                    let wall = std::mem::replace(&mut self.of_wall[voxel], [0.0; LANES]);
-                    let (strides, _) = row[first * STRIDE..].as_chunks_mut::<STRIDE>();
-                    for (to, spline) in strides.iter_mut().zip(splines) {
-                        add_scaled(to, &surface, spline);
-                    }
-                    if mapped {
-                        let (strides, _) = row[MAP + first * MAP_HARMONICS..].as_chunks_mut::<MAP_HARMONICS>();
-                        for (to, spline) in strides.iter_mut().zip(splines) {
-                            add_scaled(to, &harmonics_of(&wall), spline * activity);
-                        }
-                    }
-                    self.lit[voxel] += wall[LIT];
-                    self.wall[voxel] += wall[0];
-                }
-            }
-        }
-    }
-
-    fn finish(mut self, activity: &Activity) -> Exposure {
-        let (bright, background) = (activity.wall as f32, activity.background as f32);
-        for voxel in &mut self.image {
-            *voxel += background;
-        }
-        if self.columns > 0 {
-            let occupied = self.lit.iter().zip(&self.wall).zip(&self.cavity);
-            let rows = self.jacobian.chunks_exact_mut(self.columns).zip(&mut self.image);
-            for ((row, voxel), ((lit, wall), cavity)) in rows.zip(occupied) {
-                *voxel += bright * lit - background * wall;
-                row[ACTIVITY] = *lit;
-                row[BLOOD] = *cavity;
-                row[BACKGROUND] = 1.0 - wall - cavity;
-            }
-        }
-        Exposure { image: self.image, jacobian: self.jacobian }
-    }
-}
-
-fn add_scaled<const N: usize>(to: &mut [f32; N], what: &[f32; N], by: f32) {
-    for (to, what) in to.iter_mut().zip(what) {
-        *to += by * what;
-    }
-}
-
-/// What a node of the wall carries but for its uptake.
-fn harmonics_of(wall: &[f32; LANES]) -> [f32; MAP_HARMONICS] {
-    std::array::from_fn(|h| wall[h])
-}
-
-/// Of the values a node of the wall carries, the one that its uptake is in; the harmonics of the map come before.
-const LIT: usize = MAP_HARMONICS;
-const LANES: usize = MAP_HARMONICS + 1;
-
-const _: () = assert!(STRIDE == 8 && LANES == 12 && SURFACES == SPLINES * STRIDE);

@@ -3,8 +3,9 @@
 
 use super::{
     basis::Spot,
+    camera::{Compared, Film, Films},
     counts::Counts,
-    exposure::{Activity, Rules, Want, expose},
+    exposure::{Activity, Rules, Scene},
     priors::Priors,
     shape::{BASE, Shape, Volumes},
     step::{Moved, Step, accelerated},
@@ -91,6 +92,7 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
     let mut best: Option<(State, System)> = None;
     let mut last: Option<Moved> = None;
     let mut vicinity = Vicinity::of(&state, counts);
+    let films = Films::default();
     while steps < plan.steps && !converged {
         monitor::check(monitor)?;
         if vicinity.left_by(&state) {
@@ -98,7 +100,7 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
             vicinity = Vicinity::of(&state, counts);
             best = None;
         }
-        let system = assemble(counts, &state, priors, &plan, &vicinity, monitor)?;
+        let system = assemble(counts, &state, priors, &plan, &vicinity, &films, monitor)?;
         steps += 1;
         match &best {
             // Beyond what the last step was good for: back, and with a shorter step on.
@@ -125,7 +127,7 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
         }
         monitor.advance(steps, plan.steps + 1);
     }
-    let mut system = assemble(counts, &state, priors, &plan, &vicinity, monitor)?;
+    let mut system = assemble(counts, &state, priors, &plan, &vicinity, &films, monitor)?;
     if let Some((before, of_before)) = best
         && system.energy() > of_before.energy()
     {
@@ -136,15 +138,19 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
 
 /// What is done in the same way for all states near one: which voxels are compared, and how their images are integrated.
 pub(super) struct Vicinity {
-    pub(super) shapes: Vec<Shape>,
+    shapes: Vec<Shape>,
     sigma_mm: f64,
     pub(super) rules: Vec<Rules>,
+    pub(super) compared: Vec<Compared>,
 }
 
 impl Vicinity {
     fn of(state: &State, counts: &Counts) -> Self {
         let rules = state.shapes.iter().map(|shape| Rules::of(shape, &counts.space, &counts.crop, state.sigma_mm)).collect();
-        Self { shapes: state.shapes.clone(), sigma_mm: state.sigma_mm, rules }
+        let of_gate =
+            |shape: &Shape| Compared::of(counts.crop.voxels(), |voxel| counts.known[voxel] && is_compared(&counts.places[voxel], shape));
+        let compared = state.shapes.par_iter().map(of_gate).collect();
+        Self { shapes: state.shapes.clone(), sigma_mm: state.sigma_mm, rules, compared }
     }
 
     fn left_by(&self, state: &State) -> bool {
@@ -155,7 +161,7 @@ impl Vicinity {
 }
 
 fn cavities_ml(state: &State, counts: &Counts) -> Vec<f64> {
-    state.shapes.iter().map(|shape| Volumes::of(shape, &counts.space).ml.endocardial).collect()
+    state.shapes.par_iter().map(|shape| Volumes::cavity_ml(shape, &counts.space)).collect()
 }
 
 /// Moves the parameters.
@@ -194,15 +200,16 @@ fn correlated(counts: &Counts, state: &State, vicinity: &Vicinity) -> f64 {
         .into_par_iter()
         .map(|gate| {
             let shape = &state.shapes[gate];
-            let image =
-                expose(&counts.crop, &counts.space, shape, &state.activity, state.sigma_mm, &vicinity.rules[gate], Want::Image).image;
+            let mut film = Film::default();
+            let scene = Scene { space: &counts.space, shape, activity: &state.activity, sigma_mm: state.sigma_mm };
+            scene.expose(&counts.crop, &vicinity.rules[gate], None, &mut film);
             let residual: Vec<Option<f64>> = counts
                 .places
                 .iter()
                 .enumerate()
                 .map(|(voxel, place)| {
-                    let usable = counts.known[voxel] && compared(place, shape);
-                    usable.then(|| f64::from(counts.gates[gate][voxel] - image[voxel]).clamp(-2.0 * ROBUST, 2.0 * ROBUST))
+                    let usable = counts.known[voxel] && is_compared(place, shape);
+                    usable.then(|| f64::from(counts.gates[gate][voxel] - film.image[voxel]).clamp(-2.0 * ROBUST, 2.0 * ROBUST))
                 })
                 .collect();
             let [_, ny, nx] = counts.crop.shape;
@@ -228,6 +235,6 @@ fn correlated(counts: &Counts, state: &State, vicinity: &Vicinity) -> f64 {
 }
 
 /// Whether a voxel is compared: around the wall and below the valve plane.
-pub(super) fn compared(place: &VoxelPlace, shape: &Shape) -> bool {
+fn is_compared(place: &VoxelPlace, shape: &Shape) -> bool {
     place.z < shape.base_mm() + MARGIN_ABOVE_MM && place.r < shape.radii(&place.spot).epicardial + MARGIN_MM
 }

@@ -2,6 +2,7 @@
 //! and a model of how the camera blurs a wall of this shape is fitted to the counts of all gates at once.
 
 mod basis;
+mod camera;
 mod counts;
 mod exposure;
 mod fit;
@@ -30,7 +31,7 @@ use crate::study::{Study, Warning};
 use basis::Basis;
 use frame::Frame;
 use rayon::prelude::*;
-use rays::Rays;
+use rays::{Net, Rays};
 use serde::{Deserialize, Serialize};
 use shape::Space;
 use surfaces::Layout;
@@ -143,7 +144,8 @@ pub fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn Monitor
     let basis = Basis::new(frame.s_of_height(frame.base_mm + ABOVE_BASE_MM));
     let space = Space { frame, basis };
     let rays = observed(monitor, Stage::Rays, None, || {
-        Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space)).collect::<Vec<Rays>>())
+        let net = Net::new(&space.basis);
+        Ok(study.gates.par_iter().map(|gate| rays::cast(&gate.volume, &space, &net)).collect::<Vec<Rays>>())
     })?;
     let (shapes, model) = observed(monitor, Stage::ModelFit, None, || refine::refine(study, &space, &rays, &parameters.refine, monitor))?;
     let steps = model.steps;

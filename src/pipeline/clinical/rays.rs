@@ -2,17 +2,12 @@
 //! where it ends at the valves, and how much it takes up. Start, fallback and referee of the model's fit.
 
 use super::{
-    basis::{Angle, Basis, HARMONICS, MAP_HARMONICS, SPLINES, WHOLE, order},
+    basis::{Angle, Basis, HARMONICS, MAP_HARMONICS, SPLINES, order},
     frame::Frame,
     linear::solve_positive,
     shape::{STRIDE, Shape, Space, THICKNESS_HARMONICS},
 };
-use crate::{
-    study::Study,
-    volume::{Grid, Volume},
-};
-use glam::DVec3;
-use ndarray::Array3;
+use crate::{pipeline::simd::vectorised, study::Study, volume::Volume};
 use std::f64::consts::FRAC_PI_2;
 
 /// Rays from apex to beyond the base, and about the axis (`numerics.md`: about 28 × 32).
@@ -63,6 +58,46 @@ pub(super) fn places(basis: &Basis) -> impl Iterator<Item = (f64, Angle)> {
     })
 }
 
+/// Coefficients of a surface's radius, and how many of them matter at a place.
+const N: usize = SPLINES * HARMONICS;
+const TERMS: usize = 4 * HARMONICS;
+
+/// The rays' places and what the coefficients of a surface say there: the same for all gates.
+pub(super) struct Net {
+    places: Vec<(f64, Angle)>,
+    rows: Vec<Row>,
+}
+
+/// What the coefficients from `start` on contribute at a place.
+struct Row {
+    start: usize,
+    terms: [f64; TERMS],
+}
+
+impl Net {
+    pub(super) fn new(basis: &Basis) -> Self {
+        let row = |(s, angle): &(f64, Angle)| {
+            let spot = basis.at(*s, angle);
+            let terms = std::array::from_fn(|i| spot.splines[i / HARMONICS] * spot.harmonics[i % HARMONICS]);
+            Row { start: spot.first * HARMONICS, terms }
+        };
+        let places: Vec<(f64, Angle)> = places(basis).collect();
+        let rows = places.iter().map(row).collect();
+        Self { places, rows }
+    }
+
+    /// A surface at all places.
+    fn values(&self, coefficients: &[f64]) -> Vec<f64> {
+        self.rows.iter().map(|row| row.value(coefficients)).collect()
+    }
+}
+
+impl Row {
+    fn value(&self, coefficients: &[f64]) -> f64 {
+        coefficients[self.start..].iter().zip(&self.terms).map(|(coefficient, term)| coefficient * term).sum()
+    }
+}
+
 /// The mid-wall surface of a pose: half an ellipsoid in the cap, a cylinder above.
 pub(super) fn pose_radius(frame: &Frame, s: f64) -> f64 {
     if s >= FRAC_PI_2 {
@@ -73,15 +108,13 @@ pub(super) fn pose_radius(frame: &Frame, s: f64) -> f64 {
 }
 
 /// Casts the rays of one gate.
-pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
-    let (frame, basis) = (&space.frame, &space.basis);
+pub(super) fn cast(volume: &Volume, space: &Space, net: &Net) -> Rays {
+    let frame = &space.frame;
     let longest = frame.unit_mm.max(frame.apex_mm) + BEYOND_MM + SLOPE_REACH_MM;
     let samples = ((longest - FIRST_MM) / STEP_MM) as usize + 1;
     let radius = |k: usize| FIRST_MM + STEP_MM * k as f64;
-    let image = Interpolated::new(volume);
-    let profiles: Vec<Vec<f64>> =
-        places(basis).map(|(s, angle)| (0..samples).map(|k| image.at(frame.point(s, &angle, radius(k)))).collect()).collect();
-    let nodes: Vec<(f64, Angle)> = places(basis).collect();
+    let nodes = &net.places;
+    let profiles = profiles(volume, frame, nodes, samples);
     let limit: Vec<usize> =
         nodes.iter().map(|&(s, _)| (((pose_radius(frame, s) + BEYOND_MM - FIRST_MM) / STEP_MM) as usize).min(samples - 1)).collect();
     let brightest: Vec<usize> = profiles.iter().zip(&limit).map(|(profile, &end)| largest(&profile[1..=end]) + 1).collect();
@@ -90,20 +123,19 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
     let reference = percentile(nodes.iter().zip(&heights).filter(|((s, _), _)| below_base(*s)).map(|(_, &height)| height), 0.9);
     let seen: Vec<bool> = nodes.iter().zip(&heights).map(|((s, _), &height)| below_base(*s) && height > SEEN * reference).collect();
     let found: Vec<Option<f64>> = seen.iter().zip(&brightest).map(|(&seen, &k)| seen.then(|| radius(k))).collect();
-    let mid = smooth(basis, &nodes, &found, SMOOTHING);
-    let mid_at = |s: f64, angle: &Angle| basis.at(s, angle).value(&mid, WHOLE).clamp(4.0, longest - SLOPE_REACH_MM);
+    let mid = smooth(net, &found, SMOOTHING);
+    let mid_at: Vec<f64> = net.values(&mid).into_iter().map(|mm| mm.clamp(4.0, longest - SLOPE_REACH_MM)).collect();
     let index = |mm: f64| (((mm - FIRST_MM) / STEP_MM).round().max(0.0) as usize).min(samples - 1);
     let near = |profile: &[f64], centre: usize, reach: usize| {
         let (low, end) = (centre.saturating_sub(reach), (centre + reach + 1).min(samples));
         let at = low + largest(&profile[low..end]);
         (profile[at], radius(at))
     };
-    let peaks: Vec<(f64, f64)> =
-        nodes.iter().zip(&profiles).map(|((s, angle), profile)| near(profile, index(mid_at(*s, angle)), 7)).collect();
+    let peaks: Vec<(f64, f64)> = mid_at.iter().zip(&profiles).map(|(mid_mm, profile)| near(profile, index(*mid_mm), 7)).collect();
     let peak: Vec<f64> = peaks.iter().map(|peak| peak.0).collect();
     let background = percentile(profiles.iter().flatten().copied(), 0.15);
     let blood = percentile(profiles[..profiles.len() / 2].iter().flat_map(|profile| profile[..6].iter().copied()), 0.5);
-    let base_mm = base_height(space, &nodes, &peak, background);
+    let base_mm = base_height(space, nodes, &peak, background);
     let end = frame.s_of_height(base_mm.unwrap_or(frame.base_mm));
     let weight = |s: f64| if s < FRAC_PI_2 { s.sin() } else { 1.0 };
     let in_wall = |s: f64| s < end - 0.25;
@@ -122,25 +154,22 @@ pub(super) fn cast(volume: &Volume, space: &Space) -> Rays {
         .map(|((s, _), (&(value, at_mm), of_pose))| (in_wall(*s) && value > WELL * high).then(|| (at_mm / of_pose - 1.0) * frame.unit_mm))
         .collect();
     // In proportion to the half-ellipsoid, and as flat as the rays allow: what moved in at the base did so at the unseen apex.
-    let departure = smooth(basis, &nodes, &departures, CONTINUATION);
-    let whole: Vec<Option<f64>> = nodes
-        .iter()
-        .zip(&of_pose)
-        .map(|((s, angle), of_pose)| Some(of_pose * (1.0 + basis.at(*s, angle).value(&departure, WHOLE) / frame.unit_mm)))
-        .collect();
-    let continued = smooth(basis, &nodes, &whole, [1e-3, 0.0]);
+    let departure = net.values(&smooth(net, &departures, CONTINUATION));
+    let whole: Vec<Option<f64>> =
+        departure.iter().zip(&of_pose).map(|(departure, of_pose)| Some(of_pose * (1.0 + departure / frame.unit_mm))).collect();
+    let continued = smooth(net, &whole, [1e-3, 0.0]);
     let slopes = |sign: f64| -> Vec<Option<f64>> {
         nodes
             .iter()
+            .zip(&mid_at)
             .zip(profiles.iter().zip(&seen))
-            .map(|((s, angle), (profile, &seen))| {
-                let centre = mid_at(*s, angle);
+            .map(|(((s, _), centre), (profile, &seen))| {
                 let usable = seen && *s < end - 0.15;
-                usable.then(|| steepest(profile, index(centre), sign)).flatten().map(|k| FIRST_MM + STEP_MM * k)
+                usable.then(|| steepest(profile, index(*centre), sign)).flatten().map(|k| FIRST_MM + STEP_MM * k)
             })
             .collect()
     };
-    let (inner, outer) = (smooth(basis, &nodes, &slopes(1.0), SMOOTHING), smooth(basis, &nodes, &slopes(-1.0), SMOOTHING));
+    let (inner, outer) = (smooth(net, &slopes(1.0), SMOOTHING), smooth(net, &slopes(-1.0), SMOOTHING));
     let gradient = between(&inner, &outer, base_mm.unwrap_or(frame.base_mm));
     Rays { mid, gradient, base_mm, continued, peak, low: low / all, wall: high, blood, background }
 }
@@ -198,10 +227,8 @@ const ROUNDS: usize = 3;
 const CONTINUATION: [f64; 2] = [20.0, 5.0];
 
 /// A smooth function through values at the nodes where there are any: penalised least squares, robust (Cauchy weights).
-fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], [bend, slope]: [f64; 2]) -> Vec<f64> {
-    const N: usize = SPLINES * HARMONICS;
-    let given: Vec<(usize, f64)> = values.iter().enumerate().filter_map(|(i, value)| value.map(|value| (i, value))).collect();
-    let rows: Vec<Vec<(usize, f64)>> = given.iter().map(|&(i, _)| basis.at(nodes[i].0, &nodes[i].1).terms()).collect();
+fn smooth(net: &Net, values: &[Option<f64>], [bend, slope]: [f64; 2]) -> Vec<f64> {
+    let given: Vec<(&Row, f64)> = net.rows.iter().zip(values).filter_map(|(row, value)| value.map(|value| (row, value))).collect();
     let penalty = roughness(HARMONICS, 1.0, 1.0);
     let mut weights = vec![1.0; given.len()];
     let mut solution = vec![0.0; N];
@@ -220,23 +247,30 @@ fn smooth(basis: &Basis, nodes: &[(f64, Angle)], values: &[Option<f64>], [bend, 
         for i in 0..N {
             matrix[i * N + i] += 1e-6;
         }
-        for ((row, &(_, value)), &weight) in rows.iter().zip(&given).zip(&weights) {
-            for &(a, x) in row {
-                right[a] += weight * x * value;
-                for &(b, y) in row {
-                    matrix[a * N + b] += weight * x * y;
-                }
-            }
-        }
+        add_rows(&given, &weights, &mut matrix, &mut right);
         if let Some(found) = solve_positive(matrix, right) {
             solution = found;
         }
-        let errors: Vec<f64> =
-            rows.iter().zip(&given).map(|(row, &(_, value))| value - row.iter().map(|&(a, x)| x * solution[a]).sum::<f64>()).collect();
+        let errors: Vec<f64> = given.iter().map(|(row, value)| value - row.value(&solution)).collect();
         let spread = 1.48 * percentile(errors.iter().map(|error| error.abs()), 0.5) + 0.3;
         weights = errors.iter().map(|error| 1.0 / (1.0 + (error / (2.0 * spread)).powi(2))).collect();
     }
     solution
+}
+
+vectorised! {
+    /// Adds what weighted values say of the coefficients to normal equations `[N × N]`.
+    fn add_rows(given: &[(&Row, f64)], weights: &[f64], matrix: &mut [f64], right: &mut [f64]) {
+        for ((Row { start, terms }, value), weight) in given.iter().zip(weights) {
+            let weighted: [f64; TERMS] = std::array::from_fn(|i| weight * terms[i]);
+            for (a, x) in weighted.iter().enumerate() {
+                right[start + a] += x * value;
+                for (to, y) in matrix[(start + a) * N + start..][..TERMS].iter_mut().zip(terms) {
+                    *to += x * y;
+                }
+            }
+        }
+    }
 }
 
 /// How much more a slope at the apex counts than a bend elsewhere.
@@ -295,9 +329,10 @@ const TYPICAL: f64 = 0.85;
 
 /// The uptake map that rays of all gates show, as coefficients of α − 1: 0 where the wall takes up normally, the ratio measured elsewhere.
 pub(super) fn uptake_map(space: &Space, rays: &[Rays], base_mm: f64) -> Vec<f64> {
-    let nodes: Vec<(f64, Angle)> = places(&space.basis).collect();
+    let net = Net::new(&space.basis);
     let end = space.frame.s_of_height(base_mm) - 0.25;
-    let values: Vec<Option<f64>> = nodes
+    let values: Vec<Option<f64>> = net
+        .places
         .iter()
         .enumerate()
         .map(|(node, (s, _))| {
@@ -308,9 +343,7 @@ pub(super) fn uptake_map(space: &Space, rays: &[Rays], base_mm: f64) -> Vec<f64>
         })
         .collect();
     let mut map = vec![0.0; SPLINES * MAP_HARMONICS];
-    for (of_map, found) in
-        map.chunks_exact_mut(MAP_HARMONICS).zip(smooth(&space.basis, &nodes, &values, [0.3, 0.0]).chunks_exact(HARMONICS))
-    {
+    for (of_map, found) in map.chunks_exact_mut(MAP_HARMONICS).zip(smooth(&net, &values, [0.3, 0.0]).chunks_exact(HARMONICS)) {
         of_map[..HARMONICS].copy_from_slice(found);
     }
     map
@@ -343,39 +376,50 @@ pub(super) fn unseen(study: &Study, space: &Space, rays: &[Rays]) -> Unseen {
     Unseen { low: low.min(1.0 - outside / all), outside: outside / all }
 }
 
-/// Cubic convolution (Keys 1981) of a volume; points outside take the nearest face's values.
-struct Interpolated<'a> {
-    grid: Grid,
-    counts: &'a Array3<f32>,
+/// Counts along the ray of every node, so many samples each.
+fn profiles(volume: &Volume, frame: &Frame, nodes: &[(f64, Angle)], samples: usize) -> Vec<Vec<f64>> {
+    let step = volume.grid.step_mm();
+    let counts = volume.counts.as_standard_layout();
+    let Some(counts) = counts.as_slice() else { return Vec::new() };
+    nodes
+        .iter()
+        .map(|(s, angle)| {
+            let from = frame.point(*s, angle, FIRST_MM) / step;
+            let by = (frame.point(*s, angle, FIRST_MM + STEP_MM) / step) - from;
+            let mut profile = vec![0.0; samples];
+            sample_along(counts, volume.grid.shape, [from.z, from.y, from.x], [by.z, by.y, by.x], &mut profile);
+            profile
+        })
+        .collect()
 }
 
-impl<'a> Interpolated<'a> {
-    fn new(volume: &'a Volume) -> Self {
-        Self { grid: volume.grid, counts: &volume.counts }
-    }
-
-    fn at(&self, point_mm: DVec3) -> f64 {
-        let index = self.grid.fractional_index(point_mm);
-        let mut places = [[0_usize; 4]; 3];
-        let mut weights = [[0.0_f64; 4]; 3];
-        for axis in 0..3 {
-            let last = (self.grid.shape[axis] - 1) as f64;
-            let at = index[axis].clamp(0.0, last);
-            let floor = at.floor();
-            let t = at - floor;
-            for (k, offset) in [-1.0, 0.0, 1.0, 2.0].into_iter().enumerate() {
-                places[axis][k] = (floor + offset).clamp(0.0, last) as usize;
+vectorised! {
+    /// Cubic convolution (Keys 1981) of counts at points `from`, `from + by` and so on, in voxels `[z, y, x]`; points outside take the nearest
+    /// face's values.
+    fn sample_along(counts: &[f32], shape: [usize; 3], from: [f64; 3], by: [f64; 3], samples: &mut [f64]) {
+        let [_, ny, nx] = shape;
+        for (k, sample) in samples.iter_mut().enumerate() {
+            let mut places = [[0_usize; 4]; 3];
+            let mut weights = [[0.0_f64; 4]; 3];
+            for axis in 0..3 {
+                let last = shape[axis] - 1;
+                let at = (from[axis] + by[axis] * k as f64).clamp(0.0, last as f64);
+                let floor = at as usize;
+                let t = at - floor as f64;
+                places[axis] = [floor.saturating_sub(1), floor, (floor + 1).min(last), (floor + 2).min(last)];
+                let (t2, t3) = (t * t, t * t * t);
+                weights[axis] =
+                    [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2];
             }
-            let (t2, t3) = (t * t, t * t * t);
-            weights[axis] = [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2];
-        }
-        let mut sum = 0.0;
-        for (z, wz) in places[0].iter().zip(weights[0]) {
-            for (y, wy) in places[1].iter().zip(weights[1]) {
-                let row: f64 = places[2].iter().zip(weights[2]).map(|(x, wx)| wx * f64::from(self.counts[[*z, *y, *x]])).sum();
-                sum += wz * wy * row;
+            let mut sum = 0.0;
+            for (z, wz) in places[0].iter().zip(weights[0]) {
+                for (y, wy) in places[1].iter().zip(weights[1]) {
+                    let line = &counts[(z * ny + y) * nx..][..nx];
+                    let row: f64 = places[2].iter().zip(weights[2]).map(|(x, wx)| wx * f64::from(line[*x])).sum();
+                    sum += wz * wy * row;
+                }
             }
+            *sample = sum;
         }
-        sum
     }
 }

@@ -189,7 +189,7 @@ fn referee(counts: &Counts, solved: &Solved, space: &Space, rays: &[Rays]) -> Re
         let (high, low) = cavity.iter().fold((0.0_f64, f64::INFINITY), |(high, low), &ml| (high.max(ml), low.min(ml)));
         (cavity.len() > 1 && high > 0.0 && low >= 0.0).then(|| 100.0 * (high - low) / high)
     };
-    let inside = |shape: &Shape| Volumes::of(shape, space).ml.endocardial;
+    let inside = |shape: &Shape| Volumes::cavity_ml(shape, space);
     let by_gradient: Vec<f64> = rays.iter().map(|rays| inside(&rays.gradient)).collect();
     let fitted: Vec<f64> = solved.state.shapes.iter().map(inside).collect();
     let diastole = fitted.iter().enumerate().fold(0, |best, (gate, &ml)| if ml > fitted[best] { gate } else { best });

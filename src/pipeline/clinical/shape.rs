@@ -91,48 +91,22 @@ pub(super) struct Volumes {
     pub(super) gradient: PerSurface<Vec<f64>>,
 }
 
-/// Rings of the volume's quadrature in the cap and in the cylinder, and points a ring: 24 × 32 integrate an ellipsoid to 1e-5.
+/// Rings of the volume's quadrature in the cap and in the cylinder, and points a ring: 24 × 16 integrate an ellipsoid to 1e-5. A radius has
+/// harmonics up to the second, so what is integrated about the axis has them up to the seventh: 16 points are exact.
 const RINGS: usize = 24;
-const POINTS: usize = 32;
+const POINTS: usize = 16;
 
 impl Volumes {
     pub(super) fn of(shape: &Shape, space: &Space) -> Self {
-        let mut ml = PerSurface { endocardial: 0.0, epicardial: 0.0 };
         let mut gradient = PerSurface::of(|_| vec![0.0; LOCAL]);
-        let nodes = gauss_legendre(RINGS);
-        let around = TAU / POINTS as f64;
-        for angle in Angle::around(POINTS) {
-            for surface in Surface::BOTH {
-                let mut sum = Sum { surface, angle, ml: 0.0, gradient: vec![0.0; LOCAL] };
-                for &(at, weight) in &nodes {
-                    let s = at * FRAC_PI_2;
-                    let spot = space.basis.at(s, &angle);
-                    let r = *shape.radii(&spot).get(surface);
-                    let area = weight * FRAC_PI_2 * around * s.sin() * r * r / 1000.0;
-                    sum.add(area * r / 3.0, area, &spot);
-                }
-                let slope = shape.base_slope(&angle);
-                for &(at, weight) in &nodes {
-                    let (r, _, spot) = shape.in_cylinder(space, surface, at, &angle);
-                    let scale = weight * around / 1000.0;
-                    let volume = scale * (shape.base_mm() * r * r / 2.0 + slope * r * r * r / 3.0);
-                    sum.add(volume, scale * r * (shape.base_mm() + slope * r), &spot);
-                }
-                let (r, _, _) = shape.in_cylinder(space, surface, 1.0, &angle);
-                sum.lift(around * r * r / 2000.0, around * r * r * r / 3000.0);
-                match surface {
-                    Surface::Endocardial => {
-                        ml.endocardial += sum.ml;
-                        add(&mut gradient.endocardial, &sum.gradient);
-                    }
-                    Surface::Epicardial => {
-                        ml.epicardial += sum.ml;
-                        add(&mut gradient.epicardial, &sum.gradient);
-                    }
-                }
-            }
-        }
-        Self { ml, gradient }
+        let endocardial = inside(shape, space, Surface::Endocardial, Some(&mut gradient.endocardial));
+        let epicardial = inside(shape, space, Surface::Epicardial, Some(&mut gradient.epicardial));
+        Self { ml: PerSurface { endocardial, epicardial }, gradient }
+    }
+
+    /// The cavity alone in ml.
+    pub(super) fn cavity_ml(shape: &Shape, space: &Space) -> f64 {
+        inside(shape, space, Surface::Endocardial, None)
     }
 
     pub(super) fn wall_ml(&self) -> f64 {
@@ -144,35 +118,44 @@ impl Volumes {
     }
 }
 
-fn add(to: &mut [f64], what: &[f64]) {
-    for (to, what) in to.iter_mut().zip(what) {
-        *to += what;
-    }
-}
-
-struct Sum {
-    surface: Surface,
-    angle: Angle,
-    ml: f64,
-    gradient: Vec<f64>,
-}
-
-impl Sum {
-    /// A piece of volume and what a mm of the surface adds to it.
-    fn add(&mut self, volume: f64, a_mm: f64, spot: &Spot) {
-        self.ml += volume;
-        for (index, weight) in radius_derivative(self.surface, spot) {
-            self.gradient[index] += a_mm * weight;
+/// Volume inside a surface in ml; adds what a mm of every parameter changes to a gradient if there is one.
+fn inside(shape: &Shape, space: &Space, surface: Surface, mut gradient: Option<&mut Vec<f64>>) -> f64 {
+    let nodes = gauss_legendre(RINGS);
+    let around = TAU / POINTS as f64;
+    let mut ml = 0.0;
+    for angle in Angle::around(POINTS) {
+        let mut add = |volume: f64, a_mm: f64, spot: &Spot| {
+            ml += volume;
+            if let Some(gradient) = &mut gradient {
+                for (index, weight) in radius_derivative(surface, spot) {
+                    gradient[index] += a_mm * weight;
+                }
+            }
+        };
+        for &(at, weight) in &nodes {
+            let s = at * FRAC_PI_2;
+            let spot = space.basis.at(s, &angle);
+            let r = *shape.radii(&spot).get(surface);
+            let area = weight * FRAC_PI_2 * around * s.sin() * r * r / 1000.0;
+            add(area * r / 3.0, area, &spot);
+        }
+        let slope = shape.base_slope(&angle);
+        for &(at, weight) in &nodes {
+            let (r, _, spot) = shape.in_cylinder(space, surface, at, &angle);
+            let scale = weight * around / 1000.0;
+            let volume = scale * (shape.base_mm() * r * r / 2.0 + slope * r * r * r / 3.0);
+            add(volume, scale * r * (shape.base_mm() + slope * r), &spot);
+        }
+        if let Some(gradient) = &mut gradient {
+            // What a mm of the valve plane adds, and a mm of radius times its slope.
+            let (r, _, _) = shape.in_cylinder(space, surface, 1.0, &angle);
+            let tilted = around * r * r * r / 3000.0 / SLOPE_AT_MM;
+            gradient[BASE] += around * r * r / 2000.0;
+            gradient[BASE + 1] += tilted * angle.cos;
+            gradient[BASE + 2] += tilted * angle.sin;
         }
     }
-
-    /// What a mm of the valve plane adds, and a mm of radius times its slope.
-    fn lift(&mut self, a_mm: f64, a_slope: f64) {
-        let Angle { sin, cos, .. } = self.angle;
-        self.gradient[BASE] += a_mm;
-        self.gradient[BASE + 1] += a_slope * cos / SLOPE_AT_MM;
-        self.gradient[BASE + 2] += a_slope * sin / SLOPE_AT_MM;
-    }
+    ml
 }
 
 /// How the radius of a surface depends on the coefficients that matter at a place.

@@ -1,9 +1,11 @@
 //! The normal equations of a fit: what counts and priors say of the parameters around a state.
 
 use super::{
+    basis::MAP_HARMONICS,
+    camera::{Derived, Film, Films, LANES},
     counts::Counts,
-    exposure::{ACTIVITY, COLUMNS, COLUMNS_WITHOUT_MAP, MAP, UPTAKE, Want, expose},
-    fit::{Plan, ROBUST, State, Vicinity, compared},
+    exposure::{ACTIVITY, COLUMNS, COLUMNS_WITHOUT_MAP, MAP, Scene, UPTAKE},
+    fit::{Plan, ROBUST, State, Vicinity},
     gram::{self, Gram},
     linear::{Arrow, Block},
     priors::{LocalPrior, Priors},
@@ -31,8 +33,6 @@ const NOISE_MM3: f64 = 47.3;
 /// deeper, which a model without them must not take for a wall of ever more activity.
 pub(super) const LEAST_BLOOD: f64 = 0.03;
 pub(super) const MOST_BLOOD: f64 = 0.7;
-/// Relative step for the image's derivative by the width.
-const WIDTH_STEP: f64 = 0.02;
 
 /// The normal equations of a state.
 #[derive(Clone)]
@@ -151,6 +151,7 @@ pub(super) fn assemble(
     priors: &Priors,
     plan: &Plan,
     vicinity: &Vicinity,
+    films: &Films,
     monitor: &dyn Monitor,
 ) -> Result<System, PipelineError> {
     let shared = SHARED + if plan.fits_map { UPTAKE } else { 0 };
@@ -158,7 +159,7 @@ pub(super) fn assemble(
         .into_par_iter()
         .map(|gate| {
             monitor::check(monitor)?;
-            Ok(normal_of_gate(counts, state, gate, plan, vicinity))
+            Ok(films.with(|film| normal_of_gate(counts, state, gate, plan, vicinity, film)))
         })
         .collect();
     let normals = normals.into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -166,7 +167,7 @@ pub(super) fn assemble(
     let mut shared_side = vec![0.0; shared];
     let (mut blocks, mut gate_sides, mut misfit) = (Vec::new(), Vec::new(), Vec::new());
     let mut energy = 0.0;
-    let volumes: Vec<Volumes> = state.shapes.iter().map(|shape| Volumes::of(shape, &counts.space)).collect();
+    let volumes: Vec<Volumes> = state.shapes.par_iter().map(|shape| Volumes::of(shape, &counts.space)).collect();
     for (gate, normal) in normals.into_iter().enumerate() {
         let n = normal.n;
         let mut own = vec![0.0; LOCAL * LOCAL];
@@ -250,41 +251,39 @@ fn freeze(own: &mut [f64], border: &mut [f64], side: &mut [f64], index: usize, s
     side[index] = 0.0;
 }
 
-fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan, vicinity: &Vicinity) -> Normal {
-    let rules = &vicinity.rules[gate];
-    let (shape, space, crop) = (&state.shapes[gate], &counts.space, &counts.crop);
+fn normal_of_gate(counts: &Counts, state: &State, gate: usize, plan: &Plan, vicinity: &Vicinity, film: &mut Film) -> Normal {
+    let crop = &counts.crop;
+    let compared = &vicinity.compared[gate];
     let columns = if plan.fits_map { COLUMNS } else { COLUMNS_WITHOUT_MAP };
-    let exposure = expose(crop, space, shape, &state.activity, state.sigma_mm, rules, Want::Derivatives(columns));
-    let wider =
-        plan.fits_width.then(|| expose(crop, space, shape, &state.activity, state.sigma_mm * (1.0 + WIDTH_STEP), rules, Want::Image));
-    // Order of the packed columns: local, wall, blood, background, width, map.
-    let n = LOCAL + SHARED + columns - MAP;
+    let scene = Scene { space: &counts.space, shape: &state.shapes[gate], activity: &state.activity, sigma_mm: state.sigma_mm };
+    scene.expose(crop, &vicinity.rules[gate], Some(Derived { columns, at: compared }), film);
+    // Order of the packed columns: local, wall, blood, background, width, wall's volume, map.
+    let n = LOCAL + SHARED + if plan.fits_map { UPTAKE } else { 0 };
     let mut gram = Gram::new(n + 1);
     let mut misfit = Misfit::default();
     let noise = NOISE * (plan.correlated * NOISE_MM3 / crop.spacing_mm.iter().product::<f64>()).sqrt();
     let mut row = vec![0.0_f32; (n + 1).next_multiple_of(gram::WIDTH)];
-    for (voxel, (&count, place)) in counts.gates[gate].iter().zip(&counts.places).enumerate() {
-        if !counts.known[voxel] || !compared(place, &vicinity.shapes[gate]) {
-            continue;
-        }
-        let residual = f64::from(count) - f64::from(exposure.image[voxel]);
+    let derived = film.jacobian.chunks_exact(columns).zip(&film.by_width);
+    for (&voxel, (derivatives, by_width)) in compared.voxels.iter().zip(derived) {
+        let residual = f64::from(counts.gates[gate][voxel]) - f64::from(film.image[voxel]);
         let weight = 1.0 / ((1.0 + (residual / ROBUST).powi(2)) * noise * noise);
         misfit.squares += residual * residual;
         misfit.robust += 0.5 * (ROBUST / noise).powi(2) * (residual / ROBUST).powi(2).ln_1p();
         misfit.weighted += weight * residual * residual;
-        misfit.image += f64::from(exposure.image[voxel]);
+        misfit.image += f64::from(film.image[voxel]);
         misfit.voxels += 1.0;
         let root = weight.sqrt() as f32;
-        let derivatives = &exposure.jacobian[voxel * columns..][..columns];
         for (to, from) in row[..ACTIVITY + WIDTH].iter_mut().zip(derivatives) {
             *to = root * from;
         }
-        row[LOCAL + WIDTH] = match &wider {
-            Some(wider) => root * (wider.image[voxel] - exposure.image[voxel]) / (1.0 + WIDTH_STEP).ln() as f32,
-            None => 0.0,
-        };
-        for (to, from) in row[LOCAL + SHARED..n].iter_mut().zip(&derivatives[MAP..]) {
-            *to = root * from;
+        if plan.fits_width {
+            row[LOCAL + WIDTH] = root * by_width;
+        }
+        let (splines, _) = row[LOCAL + SHARED..n].as_chunks_mut::<MAP_HARMONICS>();
+        for (to, from) in splines.iter_mut().zip(derivatives[MAP..].as_chunks::<LANES>().0) {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = root * from;
+            }
         }
         row[n] = root * residual as f32;
         gram.push(&row);

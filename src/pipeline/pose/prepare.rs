@@ -28,7 +28,7 @@ pub(super) struct Field {
     pub step_mm: f64,
     /// The first node in grid mm.
     pub origin_mm: DVec3,
-    /// Smoothed counts, x fastest; NaN where unknown.
+    /// Smoothed counts, x fastest; NaN where unknown, and once more at the end.
     values: Vec<f32>,
 }
 
@@ -47,12 +47,17 @@ impl Field {
         let lattice = Self::lattice(&study.grid);
         let counts =
             lattice.resample(&study.grid, sum.indexed_iter().map(|(voxel, &count)| if mask[voxel] { count } else { 0.0 }).collect());
-        let weight = lattice.resample(&study.grid, mask.iter().map(|&inside| f32::from(u8::from(inside))).collect());
-        let full = lattice.resample(&study.grid, vec![1.0; sum.len()]);
+        let full = lattice.weights(&study.grid);
+        let weight = if mask.iter().all(|&inside| inside) {
+            full.clone()
+        } else {
+            lattice.resample(&study.grid, mask.iter().map(|&inside| f32::from(u8::from(inside))).collect())
+        };
         let values = counts
             .iter()
             .zip(weight.iter().zip(&full))
             .map(|(&count, (&weight, &full))| if weight > LEAST_WEIGHT * full { count / weight } else { f32::NAN })
+            .chain([f32::NAN])
             .collect();
         Some(Self { values, ..lattice })
     }
@@ -75,13 +80,36 @@ impl Field {
         let [nz, ny, nx] = grid.shape;
         let (mut values, mut shape) = (voxels, [nx, ny, nz]);
         for axis in 0..3 {
-            let spacing = grid.spacing_mm[2 - axis];
-            let sigma = SMOOTHING_MM.max(LEAST_SMOOTHING_VOXELS * spacing);
-            let weights = gaussian_rows(shape[axis], spacing, sigma, self.nodes[axis], self.origin_mm[axis], self.step_mm);
-            values = contract(&values, shape, axis, &weights);
+            values = contract(&values, shape, axis, &self.rows(grid, axis));
             shape[axis] = self.nodes[axis];
         }
         values
+    }
+
+    /// The sum of the weights of all voxels at the nodes.
+    fn weights(&self, grid: &Grid) -> Vec<f32> {
+        let sums: [Vec<f32>; 3] =
+            std::array::from_fn(|axis| self.rows(grid, axis).iter().map(|(_, weights)| weights.iter().sum()).collect());
+        let [x, y, z] = &sums;
+        z.iter().flat_map(|z| y.iter().flat_map(move |y| x.iter().map(move |x| x * y * z))).collect()
+    }
+
+    /// Of each node along an axis (0: x), the first voxel it sees and the weights from there.
+    fn rows(&self, grid: &Grid, axis: usize) -> Vec<(usize, Vec<f32>)> {
+        let spacing = grid.spacing_mm[2 - axis];
+        let sigma = SMOOTHING_MM.max(LEAST_SMOOTHING_VOXELS * spacing);
+        gaussian_rows(grid.shape[2 - axis], spacing, sigma, self.nodes[axis], self.origin_mm[axis], self.step_mm)
+    }
+
+    /// Values at places in memory.
+    pub(super) fn gather(&self, places: &[u32], values: &mut Vec<f32>) {
+        values.clear();
+        values.extend(places.iter().map(|place| self.values[*place as usize]));
+    }
+
+    /// The place of an unknown value.
+    pub(super) fn nowhere(&self) -> u32 {
+        self.values.len() as u32 - 1
     }
 
     /// The node's value; NaN where unknown or outside.
@@ -130,7 +158,7 @@ impl Field {
     /// Forgets what lies where `keep` (of grid mm) says no.
     pub(super) fn restrict(&mut self, keep: impl Fn(DVec3) -> bool) {
         let [nx, ny, _] = self.nodes;
-        for node in 0..self.values.len() {
+        for node in 0..self.values.len() - 1 {
             let place = [node % nx, node / nx % ny, node / (nx * ny)].map(|index| index as i32);
             if !keep(self.position_mm(place)) {
                 self.values[node] = f32::NAN;

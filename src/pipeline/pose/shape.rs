@@ -48,6 +48,8 @@ impl Shell {
     }
 
     /// A point relative to the surface.
+    #[allow(clippy::inline_always)]
+    #[inline(always)]
     pub(super) fn place(&self, point_mm: DVec3) -> Place {
         let from_base = point_mm - self.base_mm;
         let height_mm = from_base.dot(self.to_apex);

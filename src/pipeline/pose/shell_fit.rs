@@ -8,6 +8,7 @@ use super::{
     super::{
         PipelineError,
         monitor::{self, Monitor},
+        simd::{exp, vectorised},
     },
     held::Held,
     prepare::Field,
@@ -60,11 +61,18 @@ pub(super) struct ShellFit {
     pub sigma_mm: f64,
 }
 
-/// A point's counts and its voice.
-struct Sample {
-    at_mm: DVec3,
-    value: f64,
-    weight: f64,
+/// Points are computed with so many at a time.
+const LANES: usize = 8;
+type Lanes = [f64; LANES];
+
+/// Some points, their counts and their voices; the last are filled up with points without a voice.
+#[derive(Default)]
+struct Samples {
+    x: Lanes,
+    y: Lanes,
+    z: Lanes,
+    value: Lanes,
+    weight: Lanes,
 }
 
 /// The moving parameters' values.
@@ -76,7 +84,9 @@ struct Moved {
 
 /// One round's problem: samples and what the moves are counted from.
 struct Round<'a> {
-    samples: Vec<Sample>,
+    samples: Vec<Samples>,
+    /// Points with a voice at first.
+    count: usize,
     from: Moved,
     frame: DMat3,
     held: &'a Held,
@@ -129,18 +139,36 @@ pub(super) fn fit_from(
     Ok(Some(fit))
 }
 
+/// A point's squared residual, counts and voice.
+struct Explained {
+    square: f64,
+    value: f64,
+    weight: f64,
+}
+
 /// Parts of the variance around a shell that it explains: of all points, and without the tenth that is explained worst.
 pub(super) fn explained(field: &Field, fit: &ShellFit, held: &Held) -> Option<[f64; 2]> {
     let round = Round::new(field, fit, held, Density::Half)?;
     let solved = round.solve(&round.from)?;
-    let mut points: Vec<(f64, &Sample)> =
-        round.samples.iter().map(|sample| ((sample.value - round.predict(&round.from, &solved, sample.at_mm)).powi(2), sample)).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let part = |points: &[(f64, &Sample)]| {
-        let weight: f64 = points.iter().map(|(_, sample)| sample.weight).sum();
-        let mean = points.iter().map(|(_, sample)| sample.weight * sample.value).sum::<f64>() / weight;
-        let variance: f64 = points.iter().map(|(_, sample)| sample.weight * (sample.value - mean).powi(2)).sum();
-        let residual: f64 = points.iter().map(|(square, sample)| sample.weight * square).sum();
+    let mut points: Vec<Explained> = round
+        .predictions(&solved)
+        .iter()
+        .zip(&round.samples)
+        .flat_map(|(predicted, samples)| {
+            std::array::from_fn::<_, LANES, _>(|i| Explained {
+                square: (samples.value[i] - predicted[i]).powi(2),
+                value: samples.value[i],
+                weight: samples.weight[i],
+            })
+        })
+        .take(round.count)
+        .collect();
+    points.sort_by(|a, b| a.square.total_cmp(&b.square));
+    let part = |points: &[Explained]| {
+        let weight: f64 = points.iter().map(|point| point.weight).sum();
+        let mean = points.iter().map(|point| point.weight * point.value).sum::<f64>() / weight;
+        let variance: f64 = points.iter().map(|point| point.weight * (point.value - mean).powi(2)).sum();
+        let residual: f64 = points.iter().map(|point| point.weight * point.square).sum();
         if variance > 0.0 { 1.0 - residual / variance } else { 0.0 }
     };
     Some([part(&points), part(&points[..points.len() * 9 / 10])])
@@ -204,7 +232,8 @@ pub(super) fn each_near(field: &Field, shell: &Shell, density: Density, mut visi
 impl<'a> Round<'a> {
     fn new(field: &Field, fit: &ShellFit, held: &'a Held, density: Density) -> Option<Self> {
         let level = wall_level(field, &fit.shell)?;
-        let mut samples = Vec::new();
+        let mut samples: Vec<Samples> = Vec::new();
+        let mut count = 0;
         each_near(field, &fit.shell, density, |at_mm, place, value| {
             // The voice fades over the borders of the selection, so that no node enters with a jump.
             let fade = |from: f64, to: f64, at: f64| ((at - from) / (to - from)).clamp(0.0, 1.0);
@@ -213,32 +242,49 @@ impl<'a> Round<'a> {
                 * (1.0 - fade(OUTSIDE_MM - 3.0, OUTSIDE_MM + 1.0, outside))
                 * fade(-BEHIND_MM - 2.0, -BEHIND_MM + 3.0, place.height_mm);
             if weight > 0.0 {
-                samples.push(Sample { at_mm, value: (value / level).min(BRIGHTEST), weight });
+                let lane = count % LANES;
+                if lane == 0 {
+                    samples.push(Samples::default());
+                }
+                if let Some(last) = samples.last_mut() {
+                    (last.x[lane], last.y[lane], last.z[lane]) = at_mm.into();
+                    (last.value[lane], last.weight[lane]) = ((value / level).min(BRIGHTEST), weight);
+                }
+                count += 1;
             }
         });
         let enough = if density == Density::Half { LEAST_POINTS } else { LEAST_POINTS / 2 };
-        if samples.len() < enough {
+        if count < enough {
             return None;
         }
-        let total_weight = samples.iter().map(|sample| sample.weight).sum();
+        let total_weight = total_weight(&samples);
         let from = Moved { shell: fit.shell, sigma_mm: fit.sigma_mm };
-        Some(Self { samples, from, frame: fit.shell.frame(), held, total_weight })
+        Some(Self { samples, count, from, frame: fit.shell.frame(), held, total_weight })
     }
 
     /// Turns down points that the model does not explain: other organs, noise.
     fn doubt(&mut self, solved: &Solved) {
-        let mut residuals: Vec<f64> = self.samples.iter().map(|s| (s.value - self.predict(&self.from, solved, s.at_mm)).abs()).collect();
+        let residuals: Vec<Lanes> = self
+            .predictions(solved)
+            .iter()
+            .zip(&self.samples)
+            .map(|(predicted, samples)| std::array::from_fn(|i| (samples.value[i] - predicted[i]).abs()))
+            .collect();
         // 1.48 x the median of absolute residuals is their standard deviation; 2 % of the wall's counts are always allowed.
-        let spread = 1.48 * quantile(&mut residuals.clone(), 0.5).unwrap_or(0.0) + 0.02;
-        for (sample, residual) in self.samples.iter_mut().zip(residuals.drain(..)) {
-            sample.weight /= 1.0 + ((residual - spread).max(0.0) / (2.0 * spread)).powi(2);
+        let spread = 1.48 * quantile(&mut residuals.as_flattened()[..self.count].to_vec(), 0.5).unwrap_or(0.0) + 0.02;
+        for (samples, residuals) in self.samples.iter_mut().zip(&residuals) {
+            for (weight, residual) in samples.weight.iter_mut().zip(residuals) {
+                *weight /= 1.0 + ((residual - spread).max(0.0) / (2.0 * spread)).powi(2);
+            }
         }
-        self.total_weight = self.samples.iter().map(|sample| sample.weight).sum();
+        self.total_weight = total_weight(&self.samples);
     }
 
-    fn predict(&self, moved: &Moved, solved: &Solved, at_mm: DVec3) -> f64 {
-        let terms = terms(moved, &self.frame, at_mm);
-        terms.iter().zip(&solved.coefficients).map(|(term, coefficient)| term * coefficient).sum()
+    /// The counts that the model has at the samples where the round began.
+    fn predictions(&self, solved: &Solved) -> Vec<Lanes> {
+        let mut predicted = vec![[0.0; LANES]; self.samples.len()];
+        predict_all(&self.samples, &self.from, &self.frame, &solved.coefficients, &mut predicted);
+        predicted
     }
 
     /// The parameters after moves from where the round began.
@@ -256,18 +302,7 @@ impl<'a> Round<'a> {
 
     /// The best linear part; `None` if it cannot be solved.
     fn solve(&self, moved: &Moved) -> Option<Solved> {
-        let (mut normal, mut right, mut square) = ([[0.0; TERMS]; TERMS], [0.0; TERMS], 0.0);
-        for sample in &self.samples {
-            let terms = terms(moved, &self.frame, sample.at_mm);
-            for i in 0..TERMS {
-                let weighted = sample.weight * terms[i];
-                right[i] += weighted * sample.value;
-                for (sum, term) in normal[i][..=i].iter_mut().zip(&terms) {
-                    *sum += weighted * term;
-                }
-            }
-            square += sample.weight * sample.value * sample.value;
-        }
+        let Sums { mut normal, right, square } = add_up(&self.samples, moved, &self.frame);
         for (i, ridge) in RIDGE.into_iter().enumerate() {
             normal[i][i] += (0.3 * ridge + 1e-6) * self.total_weight;
         }
@@ -328,30 +363,13 @@ impl<'a> Round<'a> {
     /// The Gauss-Newton matrix (lower triangle) and the downhill direction of the projected problem, per unit of weight (Kaufman's
     /// approximation: coefficients follow the moves, their own derivative's second part is left out).
     fn linearised(&self, moves: &[f64; MOVES], solved: &Solved) -> ([[f64; MOVES]; MOVES], [f64; MOVES]) {
-        const STEP: f64 = 0.02;
         let here = self.moved(moves);
         let there: [Moved; MOVES] = std::array::from_fn(|k| {
             let mut moves = *moves;
             moves[k] += STEP;
             self.moved(&moves)
         });
-        let (mut matrix, mut downhill) = ([[0.0; MOVES]; MOVES], [0.0; MOVES]);
-        let mut overlap = [[0.0; TERMS]; MOVES];
-        for sample in &self.samples {
-            let terms = terms(&here, &self.frame, sample.at_mm);
-            let predicted: f64 = terms.iter().zip(&solved.coefficients).map(|(t, c)| t * c).sum();
-            let slopes: [f64; MOVES] = std::array::from_fn(|k| (self.predict(&there[k], solved, sample.at_mm) - predicted) / STEP);
-            for k in 0..MOVES {
-                let weighted = sample.weight * slopes[k];
-                downhill[k] += weighted * (sample.value - predicted);
-                for (sum, slope) in matrix[k][..=k].iter_mut().zip(&slopes) {
-                    *sum += weighted * slope;
-                }
-                for (sum, term) in overlap[k].iter_mut().zip(&terms) {
-                    *sum += weighted * term;
-                }
-            }
-        }
+        let Slopes { mut matrix, mut downhill, overlap } = add_slopes(&self.samples, &here, &there, &self.frame, &solved.coefficients);
         let projected = overlap.map(|column| solve::solve(&solved.factor, column));
         for k in 0..MOVES {
             for l in 0..=k {
@@ -378,32 +396,143 @@ impl<'a> Round<'a> {
 /// Ridge on the coefficients: uptake varies little over the wall.
 const RIDGE: [f64; TERMS] = [0.0, 0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.05];
 
-/// The model's linear terms at a point: uptake over the wall (constant, across, along and their products), inside, everywhere, behind.
-fn terms(moved: &Moved, frame: &DMat3, at_mm: DVec3) -> [f64; TERMS] {
-    let place = moved.shell.place(at_mm);
-    let over_base = logistic(place.height_mm / EDGE_MM);
-    let wall = (-0.5 * (place.outside_mm / moved.sigma_mm).powi(2)).exp() * over_base;
-    let inside = logistic(-place.outside_mm / EDGE_MM) * over_base;
-    let (x, y) = (place.across.dot(frame.x_axis) / moved.shell.radius_mm, place.across.dot(frame.y_axis) / moved.shell.radius_mm);
-    let t = place.towards_tip;
-    [
-        wall,
-        wall * x,
-        wall * y,
-        wall * t,
-        wall * x * t,
-        wall * y * t,
-        wall * (x * x - y * y),
-        wall * 2.0 * x * y,
-        wall * (t * t - 0.33),
-        inside,
-        1.0,
-        1.0 - over_base,
-    ]
+fn total_weight(samples: &[Samples]) -> f64 {
+    samples.iter().flat_map(|samples| &samples.weight).sum()
 }
 
+/// Step for derivatives by the moves.
+const STEP: f64 = 0.02;
+
+/// What [`Round::solve`] adds up over the samples: normal equations (lower triangle), right side, counts squared.
+struct Sums {
+    normal: [[f64; TERMS]; TERMS],
+    right: [f64; TERMS],
+    square: f64,
+}
+
+/// What [`Round::linearised`] adds up: the matrix of the moves (lower triangle), their right side, and what they share with the terms.
+struct Slopes {
+    matrix: [[f64; MOVES]; MOVES],
+    downhill: [f64; MOVES],
+    overlap: [[f64; TERMS]; MOVES],
+}
+
+/// The sum of a product over lanes, in order.
+fn in_order(lanes: Lanes) -> f64 {
+    lanes.iter().sum()
+}
+
+#[allow(clippy::inline_always)]
+#[inline(always)]
+fn add_product(to: &mut Lanes, a: &Lanes, b: &Lanes) {
+    let before = *to;
+    *to = std::array::from_fn(|i| before[i] + a[i] * b[i]);
+}
+
+#[allow(clippy::inline_always)]
+#[inline(always)]
+fn predict(terms: &[Lanes; TERMS], coefficients: &[f64; TERMS]) -> Lanes {
+    let mut sum = [0.0; LANES];
+    for (term, coefficient) in terms.iter().zip(coefficients) {
+        add_product(&mut sum, term, &[*coefficient; LANES]);
+    }
+    sum
+}
+
+vectorised! {
+    fn predict_all(samples: &[Samples], moved: &Moved, frame: &DMat3, coefficients: &[f64; TERMS], predicted: &mut [Lanes]) {
+        for (samples, predicted) in samples.iter().zip(predicted) {
+            *predicted = predict(&terms(moved, frame, samples), coefficients);
+        }
+    }
+}
+
+vectorised! {
+    fn add_up(samples: &[Samples], moved: &Moved, frame: &DMat3) -> Sums {
+        let (mut normal, mut right, mut square) = ([[[0.0; LANES]; TERMS]; TERMS], [[0.0; LANES]; TERMS], [0.0; LANES]);
+        for samples in samples {
+            let terms = terms(moved, frame, samples);
+            for i in 0..TERMS {
+                let weighted: Lanes = std::array::from_fn(|lane| samples.weight[lane] * terms[i][lane]);
+                add_product(&mut right[i], &weighted, &samples.value);
+                for (sum, term) in normal[i][..=i].iter_mut().zip(&terms) {
+                    add_product(sum, &weighted, term);
+                }
+            }
+            let weighted: Lanes = std::array::from_fn(|lane| samples.weight[lane] * samples.value[lane]);
+            add_product(&mut square, &weighted, &samples.value);
+        }
+        Sums { normal: normal.map(|row| row.map(in_order)), right: right.map(in_order), square: in_order(square) }
+    }
+}
+
+vectorised! {
+    fn add_slopes(samples: &[Samples], here: &Moved, there: &[Moved; MOVES], frame: &DMat3, coefficients: &[f64; TERMS]) -> Slopes {
+        let mut matrix = [[[0.0; LANES]; MOVES]; MOVES];
+        let mut downhill = [[0.0; LANES]; MOVES];
+        let mut overlap = [[[0.0; LANES]; TERMS]; MOVES];
+        for samples in samples {
+            let here = terms(here, frame, samples);
+            let predicted = predict(&here, coefficients);
+            let missing: Lanes = std::array::from_fn(|lane| samples.value[lane] - predicted[lane]);
+            let mut slopes = [[0.0; LANES]; MOVES];
+            for (slope, there) in slopes.iter_mut().zip(there) {
+                let moved = predict(&terms(there, frame, samples), coefficients);
+                *slope = std::array::from_fn(|lane| (moved[lane] - predicted[lane]) / STEP);
+            }
+            for k in 0..MOVES {
+                let weighted: Lanes = std::array::from_fn(|lane| samples.weight[lane] * slopes[k][lane]);
+                add_product(&mut downhill[k], &weighted, &missing);
+                for (sum, slope) in matrix[k][..=k].iter_mut().zip(&slopes) {
+                    add_product(sum, &weighted, slope);
+                }
+                for (sum, term) in overlap[k].iter_mut().zip(&here) {
+                    add_product(sum, &weighted, term);
+                }
+            }
+        }
+        Slopes {
+            matrix: matrix.map(|row| row.map(in_order)),
+            downhill: downhill.map(in_order),
+            overlap: overlap.map(|row| row.map(in_order)),
+        }
+    }
+}
+
+/// The model's linear terms at points: uptake over the wall (constant, across, along and their products), inside, everywhere, behind.
+#[allow(clippy::inline_always)]
+#[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "the loop that is vectorised")]
+fn terms(moved: &Moved, frame: &DMat3, samples: &Samples) -> [Lanes; TERMS] {
+    let mut terms = [[0.0; LANES]; TERMS];
+    for lane in 0..LANES {
+        let place = moved.shell.place(DVec3::new(samples.x[lane], samples.y[lane], samples.z[lane]));
+        let over_base = logistic(place.height_mm / EDGE_MM);
+        let part = place.outside_mm / moved.sigma_mm;
+        let wall = exp(-0.5 * part * part) * over_base;
+        let inside = logistic(-place.outside_mm / EDGE_MM) * over_base;
+        let (u, v) = (place.across.dot(frame.x_axis) / moved.shell.radius_mm, place.across.dot(frame.y_axis) / moved.shell.radius_mm);
+        let t = place.towards_tip;
+        terms[0][lane] = wall;
+        terms[1][lane] = wall * u;
+        terms[2][lane] = wall * v;
+        terms[3][lane] = wall * t;
+        terms[4][lane] = wall * u * t;
+        terms[5][lane] = wall * v * t;
+        terms[6][lane] = wall * (u * u - v * v);
+        terms[7][lane] = wall * 2.0 * u * v;
+        terms[8][lane] = wall * (t * t - 0.33);
+        terms[9][lane] = inside;
+        terms[10][lane] = 1.0;
+        terms[11][lane] = 1.0 - over_base;
+    }
+    terms
+}
+
+#[allow(clippy::inline_always)]
+#[inline(always)]
 fn logistic(x: f64) -> f64 {
-    1.0 / (1.0 + (-x.clamp(-30.0, 30.0)).exp())
+    1.0 / (1.0 + exp(-x.clamp(-30.0, 30.0)))
 }
 
 /// How far a shape is from a ventricle's, in root mean squares of the wall's counts: radius 16-50 mm, elongation from 2 to 3.2, both

@@ -43,6 +43,11 @@ pub(super) struct Correlation {
 }
 
 impl Correlation {
+    /// From the sums of weight, weight · pattern, weight · counts, weight · counts², weight · counts · pattern.
+    pub(super) fn of_sums([weight, pattern, value, square, product]: [f32; 5]) -> Self {
+        Self { weight, pattern, value, square, product }
+    }
+
     /// Adds a point.
     pub(super) fn add(&mut self, value: f32, sign: f32, weight: f32) {
         self.weight += weight;

@@ -4,6 +4,7 @@ use super::{
     super::{
         PipelineError,
         monitor::{self, Monitor},
+        simd::vectorised,
     },
     held::Held,
     prepare::Field,
@@ -68,11 +69,22 @@ pub(super) fn inside_mm(radius_mm: f64) -> f64 {
     if radius_mm > 20.0 { 13.0 } else { 11.0 }
 }
 
-/// A template's points in nodes about its base: wall points first.
+/// A template's points in nodes about its base: wall points first. Filled up to whole steps with points of no weight.
+#[derive(Default)]
 struct Template {
     wall: usize,
-    points: Vec<([f32; 3], f32, f32)>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    sign: Vec<f32>,
+    weight: Vec<f32>,
+    /// Where the points fall in the field, and what it has there.
+    places: Vec<u32>,
+    values: Vec<f32>,
 }
+
+/// Points are added up so many at a time.
+const STEP: usize = 16;
 
 /// The points of an upright template with their sign and weight, wall points first.
 fn upright(radius_mm: f64, length_mm: f64) -> (usize, Vec<(DVec3, f32, f32)>) {
@@ -98,35 +110,72 @@ fn upright(radius_mm: f64, length_mm: f64) -> (usize, Vec<(DVec3, f32, f32)>) {
 }
 
 impl Template {
-    fn turned(wall: usize, upright: &[(DVec3, f32, f32)], to_apex: DVec3, step_mm: f64) -> Self {
+    /// Takes the points of an upright template, turned.
+    fn turn(&mut self, wall: usize, upright: &[(DVec3, f32, f32)], to_apex: DVec3, step_mm: f64) {
         let turn = frame(to_apex);
-        let points = upright
-            .iter()
-            .map(|&(point, sign, weight)| {
-                let place = turn * point / step_mm;
-                ([place.x as f32, place.y as f32, place.z as f32], sign, weight)
-            })
-            .collect();
-        Self { wall, points }
+        self.wall = wall;
+        let count = upright.len().next_multiple_of(STEP);
+        for list in [&mut self.x, &mut self.y, &mut self.z, &mut self.sign, &mut self.weight] {
+            list.clear();
+            list.resize(count, 0.0);
+        }
+        for (index, &(point, sign, weight)) in upright.iter().enumerate() {
+            let place = turn * point / step_mm;
+            (self.x[index], self.y[index], self.z[index]) = (place.x as f32, place.y as f32, place.z as f32);
+            (self.sign[index], self.weight[index]) = (sign, weight);
+        }
+        self.places.resize(count, 0);
     }
 
     /// Correlation with the counts at a base (in nodes); -1 where less than three quarters of the wall is in the field of view.
-    fn correlation(&self, field: &Field, base: DVec3) -> f64 {
+    fn correlation(&mut self, field: &Field, base: DVec3) -> f64 {
         let base = [base.x as f32, base.y as f32, base.z as f32];
-        let mut correlation = Correlation::default();
-        let mut known = 0;
-        for (index, &(offset, sign, weight)) in self.points.iter().enumerate() {
-            // Truncation after a large shift is rounding.
-            let value = field.node([0, 1, 2].map(|axis| (base[axis] + offset[axis] + 1024.5) as i32 - 1024));
-            if !value.is_nan() {
-                correlation.add(value, sign, weight);
-                known += usize::from(index < self.wall);
-            }
-            if index + 1 == self.wall && 4 * known < 3 * self.wall {
-                return -1.0;
+        let nodes = field.nodes.map(|nodes| nodes as u32);
+        find_places([&self.x, &self.y, &self.z], base, nodes, field.nowhere(), &mut self.places);
+        field.gather(&self.places, &mut self.values);
+        let known = self.values[..self.wall].iter().filter(|value| !value.is_nan()).count();
+        if 4 * known < 3 * self.wall {
+            return -1.0;
+        }
+        Correlation::of_sums(add_up(&self.values, &self.sign, &self.weight)).value()
+    }
+}
+
+/// 1.5 · 2²³: a number added to it is rounded to a whole one, which then stands in its last bits.
+const ROUNDS: f32 = 12_582_912.0;
+
+vectorised! {
+    /// Places in memory of points about a base, all in nodes; those outside are `nowhere`.
+    fn find_places(points: [&[f32]; 3], base: [f32; 3], nodes: [u32; 3], nowhere: u32, places: &mut [u32]) {
+        let [x, y, z] = points;
+        // Negative indices become huge ones.
+        let index = |base: f32, offset: f32| (base + offset + ROUNDS).to_bits().wrapping_sub(ROUNDS.to_bits());
+        for ((place, x), (y, z)) in places.iter_mut().zip(x).zip(y.iter().zip(z)) {
+            let (x, y, z) = (index(base[0], *x), index(base[1], *y), index(base[2], *z));
+            let at = z.wrapping_mul(nodes[1]).wrapping_add(y).wrapping_mul(nodes[0]).wrapping_add(x);
+            *place = if x < nodes[0] && y < nodes[1] && z < nodes[2] { at } else { nowhere };
+        }
+    }
+}
+
+vectorised! {
+    /// The sums of [`Correlation::of_sums`] over the known values, in lanes of their own.
+    fn add_up(values: &[f32], sign: &[f32], weight: &[f32]) -> [f32; 5] {
+        let mut lanes = [[0.0_f32; STEP]; 5];
+        let shapes = sign.as_chunks::<STEP>().0.iter().zip(weight.as_chunks::<STEP>().0);
+        for (values, (sign, weight)) in values.as_chunks::<STEP>().0.iter().zip(shapes) {
+            for i in 0..STEP {
+                let known = !values[i].is_nan();
+                let (value, weight) = (if known { values[i] } else { 0.0 }, if known { weight[i] } else { 0.0 });
+                let weighted = weight * value;
+                lanes[0][i] += weight;
+                lanes[1][i] += weight * sign[i];
+                lanes[2][i] += weighted;
+                lanes[3][i] += weighted * value;
+                lanes[4][i] += weighted * sign[i];
             }
         }
-        correlation.value()
+        lanes.map(|lanes| lanes.iter().sum())
     }
 }
 
@@ -134,6 +183,7 @@ impl Template {
 pub(super) fn starts(field: &Field, candidates: &[Candidate], held: &Held, monitor: &dyn Monitor) -> Result<Vec<Start>, PipelineError> {
     let directions = cube_directions(FACE_SIDE);
     let mut found: Vec<Start> = Vec::new();
+    let mut template = Template::default();
     for radius_mm in RADII_MM {
         for elongation in ELONGATIONS {
             let length_mm = radius_mm * elongation;
@@ -145,7 +195,7 @@ pub(super) fn starts(field: &Field, candidates: &[Candidate], held: &Held, monit
             let (wall, upright) = upright(radius_mm, length_mm);
             for &to_apex in &directions {
                 monitor::check(monitor)?;
-                let template = Template::turned(wall, &upright, to_apex, field.step_mm);
+                template.turn(wall, &upright, to_apex, field.step_mm);
                 let mut best: Option<Start> = None;
                 for candidate in &near {
                     for part in CENTRES {
