@@ -13,6 +13,7 @@ use ventricle::{
         monitor::{Monitor, Silent, Stage},
         parameters::{EdgeMode, EdgeOperator, Parameters},
         reconstruct,
+        simd::{self, Level},
     },
     study::Study,
 };
@@ -160,15 +161,18 @@ fn both_slice_orders_and_an_off_centre_heart_are_found() {
 }
 
 #[test]
-fn the_number_of_threads_changes_nothing() {
+fn neither_threads_nor_instruction_sets_change_a_bit() {
     let study = simulated(&Phantom::demo());
-    let with = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| paper(&study))
-    };
-    let one = with(1);
-    assert!(one == with(2), "two threads");
-    assert!(one == with(8), "eight threads");
+    for parameters in [Parameters::paper(), Parameters::clinical()] {
+        let with = |threads, level| {
+            simd::use_at_most(level);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| reconstruct(&study, &parameters, &Silent).unwrap())
+        };
+        let one = with(1, Level::Baseline);
+        assert!(one == with(2, Level::Avx2), "two threads");
+        assert!(one == with(8, Level::Avx512), "eight threads");
+    }
 }
 
 #[test]
