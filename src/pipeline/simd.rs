@@ -105,6 +105,8 @@ macro_rules! vectorised {
     };
 }
 
+pub(crate) use vectorised;
+
 /// Lanes that a sum is split into, whatever the instruction set: two of the widest registers.
 pub(crate) const LANES: usize = 32;
 
