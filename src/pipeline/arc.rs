@@ -24,9 +24,9 @@ const ROUNDS: usize = 4;
 
 /// Axis and mid-wall radius from circles through the arcs of the rings, where at least half of the rings have a gap; else nothing.
 pub(super) fn recentred(grid: &Grid, smooth: &Array3<f32>, rings: &[Ring], axis: AxisLine, mid_wall_mm: f64) -> Option<(AxisLine, f64)> {
-    let mut values: Vec<f64> = smooth.iter().map(|&value| f64::from(value)).collect();
-    values.sort_by(f64::total_cmp);
-    let background = values[values.len() / 20];
+    let mut values: Vec<f32> = smooth.iter().copied().collect();
+    let twentieth = values.len() / 20;
+    let background = f64::from(*values.select_nth_unstable_by(twentieth, f32::total_cmp).1);
     let mut found = None;
     let (mut axis, mut mid_wall_mm) = (axis, mid_wall_mm);
     for _ in 0..ROUNDS {

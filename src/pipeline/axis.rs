@@ -1,6 +1,6 @@
 //! The ventricle's long axis, from the rings with a dark centre that short-axis slices show.
 
-use super::PipelineError;
+use super::{PipelineError, ring_scan::Scan};
 use crate::volume::{Grid, VoxelSet, sample_scalar};
 use glam::DVec2;
 use ndarray::Array3;
@@ -17,6 +17,8 @@ pub(super) struct AxisLine {
 const RADII_MM: [f64; 10] = [12.0, 15.0, 18.0, 21.0, 24.0, 28.0, 32.0, 36.0, 41.0, 46.0];
 /// From mid-wall to outside the wall: half a wall and half a camera's blur.
 pub(super) const BEYOND_WALL_MM: f64 = 14.0;
+/// Where the cavity is looked at, as part of the mid-wall radius.
+const CAVITY_OF_RADIUS: f64 = 0.3;
 /// Angles on a ring.
 pub(super) const ANGLES: usize = 16;
 /// A slice counts as a ring when its contrast is at least this part of the wall's uptake.
@@ -41,53 +43,119 @@ pub(super) struct Ring {
     pub(super) wall: f64,
 }
 
+/// Points of the circles about a centre that are looked at: on the wall, in the cavity and outside of the wall.
+#[derive(Debug)]
+pub(super) struct Circle {
+    pub(super) radius_mm: f64,
+    pub(super) wall: [DVec2; ANGLES],
+    pub(super) cavity: [DVec2; ANGLES / 2],
+    pub(super) outside: [DVec2; ANGLES / 2],
+}
+
+/// A circle for each of the radii.
+pub(super) fn circles() -> [Circle; RADII_MM.len()] {
+    fn around<const COUNT: usize>(radius_mm: f64) -> [DVec2; COUNT] {
+        let mut points = [DVec2::ZERO; COUNT];
+        for (point, out) in points.iter_mut().zip(directions(COUNT)) {
+            *point = out * radius_mm;
+        }
+        points
+    }
+    RADII_MM.map(|radius_mm| Circle {
+        radius_mm,
+        wall: around(radius_mm),
+        cavity: around(radius_mm * CAVITY_OF_RADIUS),
+        outside: around(radius_mm + BEYOND_WALL_MM),
+    })
+}
+
 /// The best of the radii at a centre of a slice: the wall is the mean of the ring, so that a defect costs its part of
 /// the contrast and no more.
-fn ring_at(grid: &Grid, smooth: &Array3<f32>, centre_mm: DVec2, z_mm: f64) -> Ring {
-    let mut best = Ring { z_mm, centre_mm, radius_mm: RADII_MM[0], contrast: f64::NEG_INFINITY, wall: 0.0 };
-    for radius_mm in RADII_MM {
-        let wall: Vec<f64> = directions(ANGLES).map(|out| at(grid, smooth, centre_mm + out * radius_mm, z_mm)).collect();
-        let wall = wall.iter().sum::<f64>() / ANGLES as f64;
-        let mean = |radius: f64| directions(8).map(|out| at(grid, smooth, centre_mm + out * radius, z_mm)).sum::<f64>() / 8.0;
-        let cavity = f64::midpoint(at(grid, smooth, centre_mm, z_mm), mean(radius_mm * 0.3));
-        let contrast = wall - f64::midpoint(cavity, mean(radius_mm + BEYOND_WALL_MM));
+fn ring_at(circles: &[Circle], slice: &Slice<'_>, centre_mm: DVec2) -> Ring {
+    let mut best = Ring { z_mm: slice.z_mm, centre_mm, radius_mm: RADII_MM[0], contrast: f64::NEG_INFINITY, wall: 0.0 };
+    let middle = slice.at(centre_mm);
+    for circle in circles {
+        let mean = |points: &[DVec2]| points.iter().map(|point| slice.at(centre_mm + point)).sum::<f64>() / points.len() as f64;
+        let (wall, cavity) = (mean(&circle.wall), f64::midpoint(middle, mean(&circle.cavity)));
+        let contrast = wall - f64::midpoint(cavity, mean(&circle.outside));
         if cavity < wall && contrast > best.contrast {
-            best = Ring { radius_mm, contrast, wall, ..best };
+            best = Ring { radius_mm: circle.radius_mm, contrast, wall, ..best };
         }
     }
     best
 }
 
+/// Numbers of one slice, read between the voxels.
+struct Slice<'a> {
+    grid: &'a Grid,
+    values: &'a Array3<f32>,
+    z_mm: f64,
+    /// The slice's own numbers, where its height is exactly that of its voxels.
+    flat: Option<&'a [f32]>,
+}
+
+impl<'a> Slice<'a> {
+    fn new(grid: &'a Grid, values: &'a Array3<f32>, number: usize) -> Self {
+        let z_mm = number as f64 * grid.spacing_mm[0];
+        let voxels = grid.shape[1] * grid.shape[2];
+        let exact = z_mm / grid.spacing_mm[0] == number as f64;
+        let flat = values.as_slice().filter(|_| exact).and_then(|flat| flat.get(number * voxels..(number + 1) * voxels));
+        Self { grid, values, z_mm, flat }
+    }
+
+    /// What [`at`] answers, to the last bit.
+    fn at(&self, point_mm: DVec2) -> f64 {
+        let Some(flat) = self.flat else { return at(self.grid, self.values, point_mm, self.z_mm) };
+        let ([_, rows, columns], [_, dy, dx]) = (self.grid.shape, self.grid.spacing_mm);
+        let place = |index: f64, length: usize| {
+            let clamped = index.clamp(0.0, (length - 1) as f64);
+            let floor = clamped as usize;
+            (floor, (floor + 1).min(length - 1), clamped - floor as f64)
+        };
+        let ((y, next_y, part_y), (x, next_x, part_x)) = (place(point_mm.y / dy, rows), place(point_mm.x / dx, columns));
+        let linear = |low: f64, high: f64, part: f64| low * (1.0 - part) + high * part;
+        let row = |y: usize| linear(f64::from(flat[y * columns + x]), f64::from(flat[y * columns + next_x]), part_x);
+        linear(row(y), row(next_y), part_y)
+    }
+}
+
 /// The column of the image that has the most ring contrast over the slices.
+///
+/// All columns are judged by a bound first ([`Scan`]), and those that may be the best by the contrast itself.
 pub(super) fn best_centre(grid: &Grid, smooth: &Array3<f32>, known: &VoxelSet) -> Result<DVec2, PipelineError> {
-    let [dz, dy, dx] = grid.spacing_mm;
-    let stride = ((4.0 / dx.min(dy)).round() as usize).max(1);
-    let mut best: Option<(f64, DVec2)> = None;
-    for y in (0..grid.shape[1]).step_by(stride) {
-        for x in (0..grid.shape[2]).step_by(stride) {
-            if !(0..grid.shape[0]).any(|z| known.member[[z, y, x]]) {
-                continue;
-            }
-            let centre = DVec2::new(x as f64 * dx, y as f64 * dy);
-            let score: f64 = (0..grid.shape[0]).map(|z| ring_at(grid, smooth, centre, z as f64 * dz).contrast.max(0.0)).sum();
-            if score > 0.0 && best.is_none_or(|(most, _)| score > most) {
-                best = Some((score, centre));
-            }
+    let circles = circles();
+    let slices: Vec<Slice<'_>> = (0..grid.shape[0]).map(|slice| Slice::new(grid, smooth, slice)).collect();
+    let scan = Scan::of(grid, smooth, &circles);
+    let is_known = |[y, x]: [usize; 2]| (0..grid.shape[0]).any(|z| known.member[[z, y, x]]);
+    let mut columns: Vec<(f64, [usize; 2])> = scan.bounds().filter(|(_, column)| is_known(*column)).collect();
+    columns.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let mut best: Option<(f64, [usize; 2])> = None;
+    for (bound, column @ [y, x]) in columns {
+        if bound <= 0.0 || best.is_some_and(|(most, _)| bound < most) {
+            break;
+        }
+        let centre = grid.position_mm([0, y, x]).truncate();
+        let score: f64 = slices.iter().map(|slice| ring_at(&circles, slice, centre).contrast.max(0.0)).sum();
+        // Of equal ones the first in the order of rows.
+        if score > 0.0 && best.is_none_or(|(most, at)| score > most || (score == most && column < at)) {
+            best = Some((score, column));
         }
     }
-    best.map(|(_, centre)| centre).ok_or_else(|| PipelineError::NoLeftVentricle { why: "no slice shows a ring with a dark centre".into() })
+    let centre = best.map(|(_, [y, x])| grid.position_mm([0, y, x]).truncate());
+    centre.ok_or_else(|| PipelineError::NoLeftVentricle { why: "no slice shows a ring with a dark centre".into() })
 }
 
 /// The best ring of each slice within 12 mm of the start (at the start itself where it was given).
 pub(super) fn follow_rings(grid: &Grid, smooth: &Array3<f32>, start: DVec2, fixed: bool) -> Vec<Ring> {
     let reach = if fixed { 0 } else { 4 };
+    let circles = circles();
     (0..grid.shape[0])
         .filter_map(|slice| {
-            let z = slice as f64 * grid.spacing_mm[0];
+            let slice = Slice::new(grid, smooth, slice);
             let mut best: Option<Ring> = None;
             for v in -reach..=reach {
                 for u in -reach..=reach {
-                    let ring = ring_at(grid, smooth, start + DVec2::new(f64::from(u), f64::from(v)) * 3.0, z);
+                    let ring = ring_at(&circles, &slice, start + DVec2::new(f64::from(u), f64::from(v)) * 3.0);
                     if ring.contrast > 0.0 && best.is_none_or(|best| ring.contrast > best.contrast) {
                         best = Some(ring);
                     }

@@ -9,10 +9,11 @@
 use super::{
     parameters::{EdgeMode, EdgeOperator, EdgeParameters},
     plain,
+    simd::vectorised,
 };
 use crate::volume::{Grid, VectorField, Volume, VoxelSet, sample_scalar};
 use glam::DVec3;
-use ndarray::{Array3, Axis, Zip};
+use ndarray::{Array3, Zip};
 
 /// The gradient of the counts, smoothed for Canny and as they are for the plain operator.
 #[derive(Debug, Clone)]
@@ -39,16 +40,28 @@ pub struct EdgePoint {
 /// A Gaussian ends where it has fallen below 3·10⁻⁴ of its maximum.
 const KERNEL_SIGMAS: f64 = 4.0;
 
-/// The gradient of the counts over the known voxels: smoothed by a Gaussian (Canny), or of the counts themselves (plain operator).
-pub fn gradient(volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gradient {
-    let grid = volume.grid;
+/// The smoothing that Canny's operator begins with, the same for all gates of a study.
+pub fn smoothing<'a>(grid: &Grid, known: &'a VoxelSet, edges: &EdgeParameters) -> Smoothing<'a> {
     let [dz, dy, dx] = grid.spacing_mm;
     let sigma_mm = edges.sigma * f64::midpoint(dx, dy);
     let sigmas = match edges.mode {
         EdgeMode::Slice => [0.0, edges.sigma, edges.sigma],
         EdgeMode::Volume => [sigma_mm / dz, sigma_mm / dy, sigma_mm / dx],
     };
-    let smooth = (edges.operator == EdgeOperator::Canny).then(|| smooth_known(&volume.counts, known, sigmas));
+    Smoothing::new(known, sigmas)
+}
+
+/// The gradient of the counts over the known voxels: smoothed by a Gaussian (Canny), or of the counts themselves (plain operator).
+pub fn gradient(volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gradient {
+    let smoothing = (edges.operator == EdgeOperator::Canny).then(|| smoothing(&volume.grid, known, edges));
+    gradient_after(smoothing.as_ref(), volume, known, edges)
+}
+
+/// [`gradient`] with the smoothing at hand that its operator begins with.
+pub fn gradient_after(smoothing: Option<&Smoothing<'_>>, volume: &Volume, known: &VoxelSet, edges: &EdgeParameters) -> Gradient {
+    let grid = volume.grid;
+    let [dz, dy, dx] = grid.spacing_mm;
+    let smooth = smoothing.map(|smoothing| smoothing.of(&volume.counts));
     let derivative = |axis: usize, spacing: f64| match &smooth {
         Some(smooth) => central_difference(smooth, axis, spacing),
         None => plain::difference(&volume.counts, known, axis, spacing),
@@ -150,18 +163,33 @@ pub(super) fn neighbours([z, y, x]: [usize; 3], shape: [usize; 3], mode: EdgeMod
         .filter(move |&voxel| voxel != [z, y, x])
 }
 
-/// Gaussian smoothing by normalised convolution: the weighted mean of the known voxels within reach. σ in voxels along `[z, y, x]`;
-/// an axis with σ = 0 is left alone.
-pub fn smooth_known(values: &Array3<f32>, known: &VoxelSet, sigmas: [f64; 3]) -> Array3<f32> {
-    let mut weight = known.member.mapv(|inside| if inside { 1.0_f32 } else { 0.0 });
-    let mut sum = values * &weight;
-    for (axis, sigma) in sigmas.into_iter().enumerate().filter(|(_, sigma)| *sigma > 0.0) {
-        let kernel = gaussian_kernel(sigma);
-        weight = convolve(&weight, &kernel, axis);
-        sum = convolve(&sum, &kernel, axis);
+/// Gaussian smoothing by normalised convolution: the weighted mean of the known voxels within reach.
+#[derive(Debug, Clone)]
+pub struct Smoothing<'a> {
+    known: &'a VoxelSet,
+    /// A kernel for each axis that is smoothed.
+    kernels: Vec<(usize, Vec<f32>)>,
+    /// Sum of the kernel's weights of the known voxels about each voxel.
+    weight: Array3<f32>,
+}
+
+impl<'a> Smoothing<'a> {
+    /// σ in voxels along `[z, y, x]`; an axis with σ = 0 is left alone.
+    pub fn new(known: &'a VoxelSet, sigmas: [f64; 3]) -> Self {
+        let smoothed = sigmas.into_iter().enumerate().filter(|(_, sigma)| *sigma > 0.0);
+        let kernels: Vec<(usize, Vec<f32>)> = smoothed.map(|(axis, sigma)| (axis, gaussian_kernel(sigma))).collect();
+        let weight = convolve_all(known.member.mapv(|inside| if inside { 1.0 } else { 0.0 }), &kernels);
+        Self { known, kernels, weight }
     }
-    Zip::from(&mut sum).and(&weight).for_each(|sum, &weight| *sum = if weight > 1e-6 { *sum / weight } else { 0.0 });
-    sum
+
+    /// Smooths numbers on the grid of the known voxels.
+    pub fn of(&self, values: &Array3<f32>) -> Array3<f32> {
+        let mut known = values.as_standard_layout().into_owned();
+        known.zip_mut_with(&self.known.member, |value, &inside| *value *= if inside { 1.0 } else { 0.0 });
+        let mut sum = convolve_all(known, &self.kernels);
+        sum.zip_mut_with(&self.weight, |sum, &weight| *sum = if weight > 1e-6 { *sum / weight } else { 0.0 });
+        sum
+    }
 }
 
 fn gaussian_kernel(sigma: f64) -> Vec<f32> {
@@ -171,31 +199,115 @@ fn gaussian_kernel(sigma: f64) -> Vec<f32> {
     weights.into_iter().map(|weight| (weight / total) as f32).collect()
 }
 
-/// Convolution along one axis; outside the array is zero (and unknown to [`smooth_known`]).
-fn convolve(values: &Array3<f32>, kernel: &[f32], axis: usize) -> Array3<f32> {
-    let mut result = Array3::zeros(values.raw_dim());
-    let reach = kernel.len() / 2;
-    Zip::from(result.lanes_mut(Axis(axis))).and(values.lanes(Axis(axis))).for_each(|mut to, from| {
-        for i in 0..from.len() {
-            let (first, last) = (i.saturating_sub(reach), (i + reach).min(from.len() - 1));
-            to[i] = (first..=last).map(|j| from[j] * kernel[j + reach - i]).sum();
+/// Convolutions along several axes; outside the array is zero (and unknown to [`Smoothing`]).
+fn convolve_all(mut values: Array3<f32>, kernels: &[(usize, Vec<f32>)]) -> Array3<f32> {
+    let shape = values.raw_dim();
+    let mut result = Array3::zeros(shape);
+    for (axis, kernel) in kernels {
+        if let (Some(from), Some(to)) = (values.as_slice(), result.as_slice_mut()) {
+            let inner: usize = (axis + 1..3).map(|axis| shape[axis]).product();
+            if inner == 1 {
+                convolve_rows(from, to, kernel, shape[*axis]);
+            } else {
+                convolve_across(from, to, kernel, shape[*axis], inner);
+            }
         }
-    });
-    result
+        std::mem::swap(&mut values, &mut result);
+    }
+    values
+}
+
+/// Numbers that are summed side by side.
+const ABREAST: usize = 32;
+
+vectorised! {
+    /// Convolves along the rows themselves, of `length` each.
+    fn convolve_rows(from: &[f32], to: &mut [f32], kernel: &[f32], length: usize) {
+        let reach = kernel.len() / 2;
+        let mut padded = vec![0.0; length + 2 * reach];
+        for (from, to) in from.chunks_exact(length).zip(to.chunks_exact_mut(length)) {
+            padded[reach..reach + length].copy_from_slice(from);
+            let (whole, rest) = to.as_chunks_mut::<ABREAST>();
+            let done = whole.len() * ABREAST;
+            for (number, to) in whole.iter_mut().enumerate() {
+                let mut sums = [0.0; ABREAST];
+                for (tap, weight) in kernel.iter().enumerate() {
+                    let from = &padded[number * ABREAST + tap..][..ABREAST];
+                    for i in 0..ABREAST {
+                        sums[i] += from[i] * weight;
+                    }
+                }
+                *to = sums;
+            }
+            for (i, to) in rest.iter_mut().enumerate() {
+                *to = padded[done + i..].iter().zip(kernel).map(|(from, weight)| from * weight).sum();
+            }
+        }
+    }
+}
+
+vectorised! {
+    /// Convolves across rows of `inner` numbers, `length` of which belong together.
+    fn convolve_across(from: &[f32], to: &mut [f32], kernel: &[f32], length: usize, inner: usize) {
+        let reach = kernel.len() / 2;
+        for (from, to) in from.chunks_exact(length * inner).zip(to.chunks_exact_mut(length * inner)) {
+            for (i, to) in to.chunks_exact_mut(inner).enumerate() {
+                let (first, last) = (i.saturating_sub(reach), (i + reach).min(length - 1));
+                let weights = &kernel[first + reach - i..=last + reach - i];
+                let (whole, rest) = to.as_chunks_mut::<ABREAST>();
+                let done = whole.len() * ABREAST;
+                for (number, to) in whole.iter_mut().enumerate() {
+                    let mut sums = [0.0; ABREAST];
+                    for (row, weight) in (first..).zip(weights) {
+                        let from = &from[row * inner + number * ABREAST..][..ABREAST];
+                        for i in 0..ABREAST {
+                            sums[i] += from[i] * weight;
+                        }
+                    }
+                    *to = sums;
+                }
+                for (i, to) in rest.iter_mut().enumerate() {
+                    *to = (first..).zip(weights).map(|(row, weight)| from[row * inner + done + i] * weight).sum();
+                }
+            }
+        }
+    }
 }
 
 /// Central differences a mm, one-sided at the ends.
 pub(super) fn central_difference(values: &Array3<f32>, axis: usize, spacing_mm: f64) -> Array3<f32> {
+    let values = values.as_standard_layout();
     let mut result = Array3::zeros(values.raw_dim());
-    let step = spacing_mm as f32;
-    Zip::from(result.lanes_mut(Axis(axis))).and(values.lanes(Axis(axis))).for_each(|mut to, from| {
-        let last = from.len() - 1;
-        for i in 0..=last {
-            let (low, high) = (i.saturating_sub(1), (i + 1).min(last));
-            to[i] = if high > low { (from[high] - from[low]) / (step * (high - low) as f32) } else { 0.0 };
-        }
-    });
+    let inner: usize = (axis + 1..3).map(|axis| values.shape()[axis]).product();
+    if let (Some(from), Some(to)) = (values.as_slice(), result.as_slice_mut()) {
+        differences(from, to, values.shape()[axis], inner, spacing_mm as f32);
+    }
     result
+}
+
+vectorised! {
+    fn differences(from: &[f32], to: &mut [f32], length: usize, inner: usize, step: f32) {
+        for (from, to) in from.chunks_exact((length * inner).max(1)).zip(to.chunks_exact_mut((length * inner).max(1))) {
+            if inner == 1 && length > 2 {
+                let across = step * 2.0;
+                for ((to, low), high) in to[1..length - 1].iter_mut().zip(from).zip(&from[2..]) {
+                    *to = (high - low) / across;
+                }
+                to[0] = (from[1] - from[0]) / step;
+                to[length - 1] = (from[length - 1] - from[length - 2]) / step;
+                continue;
+            }
+            for (i, to) in to.chunks_exact_mut(inner).enumerate() {
+                let (low, high) = (i.saturating_sub(1), (i + 1).min(length - 1));
+                if high > low {
+                    let across = step * (high - low) as f32;
+                    for ((to, low), high) in to.iter_mut().zip(&from[low * inner..]).zip(&from[high * inner..]) {
+                        *to = (high - low) / across;
+                    }
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -2,14 +2,24 @@
 //! ∫ μ|∇V|² + |∇f|²|V − ∇f|², where f is the map of one border, 1 on it and 0 elsewhere.
 //!
 //! Its Euler equation is linear: (b − μ∇·∇) V = b ∇f with b = |∇f|², all lengths in mm, and no flow through the faces (Neumann).
-//! The matrix is symmetric and positive definite, so the steady state is solved for, by conjugate gradients with the diagonal as
-//! preconditioner, to a stated residual; the paper stepped towards it. 5.74 mm between slices against 2.87 mm between pixels is a
-//! factor of four in the diffusion that unit spacing would lose.
+//! The matrix is symmetric and positive definite, so the steady state is solved for, by conjugate gradients (`system`) that a multigrid
+//! cycle (`multigrid`) preconditions, to a stated residual; the paper stepped towards it ([`explicit`]). 5.74 mm between slices against
+//! 2.87 mm between pixels is a factor of four in the diffusion that unit spacing would lose.
 
-use super::{PipelineError, borders::Border, canny::central_difference, monitor, monitor::Monitor, parameters::GvfParameters, simd};
+pub mod explicit;
+mod lattice;
+mod multigrid;
+mod system;
+#[cfg(test)]
+pub(super) mod tests;
+mod transfer;
+
+use super::{PipelineError, borders::Border, canny::central_difference, monitor, monitor::Monitor, parameters::GvfParameters};
 use crate::volume::{Grid, VectorField};
 use glam::DVec3;
-use ndarray::{Array3, Zip};
+use ndarray::Array3;
+use std::cell::Cell;
+use system::System;
 
 /// The solved field and how well it was solved.
 #[derive(Debug, Clone)]
@@ -68,39 +78,111 @@ impl Flow {
     }
 }
 
+/// A field that minimises the functional for an edge map, and how well it was found.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// V, a mm, on the map's grid.
+    pub field: VectorField,
+    /// Relative residual reached, per component x, y, z: ‖b∇f − (b − μΔ)V‖ / ‖b∇f‖ of the field that is returned, both norms weighted by
+    /// the inverse diagonal. Rounding to f32 leaves about 3·10⁻⁸.
+    pub residual: [f64; 3],
+    /// Iterations, or steps of [`explicit`], per component.
+    pub iterations: [usize; 3],
+}
+
+/// Memory that solving takes, used again by the next problem whatever its size. What is found does not depend on what it held.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    system: System,
+    /// b, then the right side of one component.
+    b: Vec<f32>,
+    right: Vec<f32>,
+}
+
+impl Workspace {
+    /// Bytes that it has grown to.
+    pub fn bytes(&self) -> usize {
+        self.system.bytes() + (self.b.capacity() + self.right.capacity()) * size_of::<f32>()
+    }
+}
+
 /// Grey levels of the images the paper's μ belongs to. A map scaled by s multiplies b by s², so μ on a map of unit height is μ/s².
 const PAPER_GREY_LEVELS: f64 = 255.0;
-
-/// A solve that needs more has stopped converging: 150-390 iterations reach 1e-6 on the paper's grid.
-const MAX_ITERATIONS: usize = 4000;
 
 /// The μ of an edge map of unit height and lengths in mm that stands for the paper's.
 pub fn unit_mu(paper_mu: f64) -> f64 {
     paper_mu / (PAPER_GREY_LEVELS * PAPER_GREY_LEVELS)
 }
 
-/// Solves for the flow of a border around it.
+/// Solves for the flow of a border around it. Each thread keeps a workspace for the next border.
 pub fn flow(grid: &Grid, border: &Border, parameters: &GvfParameters, monitor: &dyn Monitor) -> Result<Flow, PipelineError> {
-    let window = Window::around(border, grid);
-    let grid = window.grid;
-    let map = edge_map(&window, border);
-    let [dz, dy, dx] = grid.spacing_mm;
-    let gradient = [central_difference(&map, 2, dx), central_difference(&map, 1, dy), central_difference(&map, 0, dz)];
-    let mut b = Array3::<f32>::zeros(grid.shape);
-    for component in &gradient {
-        Zip::from(&mut b).and(component).for_each(|b, &g| *b += g * g);
+    thread_local! {
+        static KEPT: Cell<Workspace> = Cell::default();
     }
-    let system = System::new(grid, b, unit_mu(parameters.mu) as f32);
-    let mut result = Flow { window, field: VectorField { grid, components: gradient.clone() }, residual: [0.0; 3], iterations: [0; 3] };
-    for (axis, component) in gradient.iter().enumerate() {
-        let right = component * &system.b;
+    let window = Window::around(border, grid);
+    let map = edge_map(&window, border);
+    let mut workspace = KEPT.take();
+    let solved = solve(&window.grid, &map, unit_mu(parameters.mu), parameters.tolerance, &mut workspace, monitor);
+    KEPT.set(workspace);
+    let Solution { field, residual, iterations } = solved?;
+    Ok(Flow { window, field, residual, iterations })
+}
+
+/// Solves for the field of an edge map `[z, y, x]` on a whole grid: μ for a map of unit height and lengths in mm ([`unit_mu`]), to a relative
+/// residual of `tolerance`, as far as f32 can hold it (see [`Solution::residual`]).
+///
+/// # Errors
+/// [`PipelineError::Cancelled`] if the monitor says so, which is asked at every iteration.
+pub fn solve(
+    grid: &Grid,
+    map: &Array3<f32>,
+    mu: f64,
+    tolerance: f64,
+    workspace: &mut Workspace,
+    monitor: &dyn Monitor,
+) -> Result<Solution, PipelineError> {
+    let Workspace { system, b, right } = workspace;
+    let mut result = Solution { field: gradient(grid, map), residual: [0.0; 3], iterations: [0; 3] };
+    squared_length(&result.field, b);
+    system.set_up(grid.shape, couplings(grid, mu), b);
+    for (axis, component) in result.field.components.iter_mut().enumerate() {
         // The gradient itself is the start: exact where b dominates.
-        let solved = system.solve(&right, component.clone(), parameters.tolerance, monitor)?;
-        result.field.components[axis] = solved.solution;
-        result.residual[axis] = solved.residual;
-        result.iterations[axis] = solved.iterations;
+        let component = contiguous(component);
+        right.clear();
+        right.extend(b.iter().zip(&*component).map(|(b, slope)| b * slope));
+        let reached = system.solve(right, tolerance, component, || monitor::check(monitor))?;
+        (result.residual[axis], result.iterations[axis]) = (reached.residual, reached.iterations);
     }
     Ok(result)
+}
+
+/// ∇f by central differences, a mm.
+fn gradient(grid: &Grid, map: &Array3<f32>) -> VectorField {
+    let [dz, dy, dx] = grid.spacing_mm;
+    VectorField {
+        grid: *grid,
+        components: [central_difference(map, 2, dx), central_difference(map, 1, dy), central_difference(map, 0, dz)],
+    }
+}
+
+/// b = |∇f|², in memory order.
+fn squared_length(field: &VectorField, b: &mut Vec<f32>) {
+    let [x, y, z] = &field.components;
+    b.clear();
+    b.extend(x.iter().zip(y).zip(z).map(|((x, y), z)| x * x + y * y + z * z));
+}
+
+/// μ/h² along z, y, x.
+fn couplings(grid: &Grid, mu: f64) -> [f32; 3] {
+    grid.spacing_mm.map(|h| (mu / (h * h)) as f32)
+}
+
+/// The numbers of an array in memory order.
+fn contiguous(values: &mut Array3<f32>) -> &mut [f32] {
+    if !values.is_standard_layout() {
+        *values = values.as_standard_layout().into_owned();
+    }
+    values.as_slice_mut().unwrap_or_default()
 }
 
 /// 1 on the border's voxels, 0 elsewhere.
@@ -110,155 +192,4 @@ fn edge_map(window: &Window, border: &Border) -> Array3<f32> {
         map[window.local(point.voxel)] = 1.0;
     }
     map
-}
-
-/// b − μ∇·∇ on a grid, as the seven-point stencil with h⁻² per axis.
-struct System {
-    b: Array3<f32>,
-    /// μ/h² along z, y, x.
-    weights: [f32; 3],
-    diagonal: Array3<f32>,
-}
-
-struct Solved {
-    solution: Array3<f32>,
-    residual: f64,
-    iterations: usize,
-}
-
-impl System {
-    fn new(grid: Grid, b: Array3<f32>, mu: f32) -> Self {
-        let weights = grid.spacing_mm.map(|h| mu / (h * h) as f32);
-        let mut diagonal = b.clone();
-        for ((z, y, x), value) in diagonal.indexed_iter_mut() {
-            for (axis, index) in [z, y, x].into_iter().enumerate() {
-                let inner = usize::from(index > 0) + usize::from(index + 1 < grid.shape[axis]);
-                *value += weights[axis] * inner as f32;
-            }
-        }
-        Self { b, weights, diagonal }
-    }
-
-    /// The matrix times a vector. The diagonal holds the number of neighbours, so that faces without one do not flow.
-    fn apply(&self, v: &Array3<f32>, result: &mut Array3<f32>) {
-        Zip::from(&mut *result).and(&self.diagonal).and(v).for_each(|r, &d, &v| *r = d * v);
-        for axis in 0..3 {
-            let weight = self.weights[axis];
-            let length = v.len_of(ndarray::Axis(axis));
-            if length < 2 {
-                continue;
-            }
-            let low = ndarray::Slice::from(..length - 1);
-            let high = ndarray::Slice::from(1..);
-            let axis = ndarray::Axis(axis);
-            result.slice_axis_mut(axis, low).zip_mut_with(&v.slice_axis(axis, high), |r, &v| *r -= weight * v);
-            result.slice_axis_mut(axis, high).zip_mut_with(&v.slice_axis(axis, low), |r, &v| *r -= weight * v);
-        }
-    }
-
-    /// Preconditioned conjugate gradients. Scalars are summed in f64 in memory order: the same result at any thread count.
-    fn solve(&self, right: &Array3<f32>, start: Array3<f32>, tolerance: f64, monitor: &dyn Monitor) -> Result<Solved, PipelineError> {
-        // √(r·D⁻¹r): the plain norm sees only the voxels at the border, where b is 10³ times μ/h², and would stop before the field has
-        // reached anything else.
-        let scale = dot(right, &(right / &self.diagonal)).sqrt();
-        if scale == 0.0 {
-            return Ok(Solved { solution: Array3::zeros(right.raw_dim()), residual: 0.0, iterations: 0 });
-        }
-        let mut solution = start;
-        let mut product = Array3::zeros(right.raw_dim());
-        self.apply(&solution, &mut product);
-        let mut residual = right - &product;
-        let mut preconditioned = &residual / &self.diagonal;
-        let mut direction = preconditioned.clone();
-        let mut rz = dot(&residual, &preconditioned);
-        let mut relative = rz.sqrt() / scale;
-        let mut iterations = 0;
-        while relative > tolerance && iterations < MAX_ITERATIONS {
-            if iterations % 16 == 0 {
-                monitor::check(monitor)?;
-            }
-            self.apply(&direction, &mut product);
-            let alpha = (rz / dot(&direction, &product)) as f32;
-            solution.zip_mut_with(&direction, |s, &d| *s += alpha * d);
-            residual.zip_mut_with(&product, |r, &p| *r -= alpha * p);
-            Zip::from(&mut preconditioned).and(&residual).and(&self.diagonal).for_each(|p, &r, &d| *p = r / d);
-            let next = dot(&residual, &preconditioned);
-            let beta = (next / rz) as f32;
-            rz = next;
-            direction.zip_mut_with(&preconditioned, |d, &p| *d = p + beta * *d);
-            relative = rz.sqrt() / scale;
-            iterations += 1;
-        }
-        Ok(Solved { solution, residual: relative, iterations })
-    }
-}
-
-fn dot(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
-    match (a.as_slice(), b.as_slice()) {
-        (Some(a), Some(b)) => simd::dot(a, b),
-        _ => a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum(),
-    }
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-    use crate::pipeline::{borders::BorderPoint, monitor::Silent, parameters::Parameters};
-
-    /// The border of a ball, two voxels thick at most.
-    pub(in crate::pipeline) fn sphere(grid: Grid, centre: DVec3, radius: f64) -> Border {
-        let thickness = grid.spacing_mm.iter().fold(0.0, |a: f64, &b| a.max(b)) / 2.0;
-        let all = Array3::from_elem(grid.shape, ());
-        let points = all
-            .indexed_iter()
-            .map(|((z, y, x), ())| [z, y, x])
-            .filter(|&voxel| (grid.position_mm(voxel).distance(centre) - radius).abs() <= thickness)
-            .map(|voxel| {
-                let out = (grid.position_mm(voxel) - centre).normalize();
-                BorderPoint { voxel, position_mm: centre + out * radius, normal: out }
-            })
-            .collect();
-        Border { points }
-    }
-
-    #[test]
-    fn the_flow_points_at_the_border_from_both_sides_everywhere() {
-        let grid = Grid { shape: [20, 36, 36], spacing_mm: [5.0, 2.8, 2.8] };
-        let centre = grid.position_mm([10, 18, 18]);
-        let border = sphere(grid, centre, 25.0);
-        let flow = flow(&grid, &border, &Parameters::paper().gvf, &Silent).unwrap();
-        assert!(flow.residual.iter().all(|&residual| residual <= 1e-4), "{:?}", flow.residual);
-        for radius in [8.0, 14.0, 31.0, 35.0] {
-            for k in 0..24 {
-                let (polar, turn) = (f64::from(k) / 24.0 * 2.0 + 0.5, f64::from(k) * 0.7);
-                let out = DVec3::new(polar.sin() * turn.cos(), polar.sin() * turn.sin(), polar.cos());
-                let field = flow.direction(centre + out * radius);
-                let towards = if radius < 25.0 { out } else { -out };
-                assert!(field.dot(towards) > 0.75, "r {radius}, {out}: {field}");
-            }
-        }
-    }
-
-    #[test]
-    fn the_solution_satisfies_the_equation_of_the_dense_system() {
-        // A grid small enough to write the matrix out and check A V = b ∇f entry by entry.
-        let grid = Grid { shape: [3, 4, 5], spacing_mm: [2.0, 1.0, 1.5] };
-        let b = Array3::from_shape_fn(grid.shape, |(z, y, x)| ((z * 7 + y * 3 + x) % 5) as f32 * 0.1);
-        let mu = 0.3_f64;
-        let system = System::new(grid, b.clone(), mu as f32);
-        let right = Array3::from_shape_fn(grid.shape, |(z, y, x)| ((z + 2 * y + 3 * x) % 4) as f32 - 1.5);
-        let v = system.solve(&right, Array3::zeros(grid.shape), 1e-6, &Silent).unwrap().solution;
-        for ((z, y, x), &right) in right.indexed_iter() {
-            let mut sum = f64::from(b[[z, y, x]]) * f64::from(v[[z, y, x]]);
-            for (axis, h) in grid.spacing_mm.into_iter().enumerate() {
-                for step in [-1_isize, 1] {
-                    let mut other = [z, y, x];
-                    let Some(moved) = other[axis].checked_add_signed(step).filter(|&i| i < grid.shape[axis]) else { continue };
-                    other[axis] = moved;
-                    sum += mu / (h * h) * (f64::from(v[[z, y, x]]) - f64::from(v[other]));
-                }
-            }
-            assert!((sum - f64::from(right)).abs() < 1e-4, "{sum} {right}");
-        }
-    }
 }

@@ -1,6 +1,12 @@
 //! What is measured on the fitted surfaces, and what is refused.
 
-use super::{Evolution, Fit, GateReconstruction, PipelineError, Surface, borders::Border, deform::Evolved, gvf::Flow};
+use super::{
+    Evolution, Fit, GateReconstruction, PipelineError, Surface,
+    borders::Border,
+    deform::Evolved,
+    gvf::Flow,
+    nearest::{Centres, nearest},
+};
 use crate::volume::Grid;
 use glam::DVec3;
 
@@ -57,25 +63,15 @@ pub struct Distances {
 
 /// Measures particles against their border (the paper's Table 1).
 pub fn distances(positions: &[DVec3], border: &Border, grid: &Grid) -> Distances {
+    let centres = Centres::of(border, grid);
     let (mut within, mut total_mm) = (0_usize, 0.0);
     for &position in positions {
-        let (voxels, mm) = nearest(position, border, grid);
-        within += usize::from(voxels < 1.0);
-        total_mm += mm;
+        let [voxels, mm] = nearest(&centres, position.to_array());
+        within += usize::from(voxels.sqrt() < 1.0);
+        total_mm += mm.sqrt();
     }
     let particles = positions.len().max(1) as f64;
     Distances { within_one_voxel: within as f64 / particles, mean_mm: total_mm / particles }
-}
-
-/// Distance to the nearest border voxel's centre, in voxels (each axis by its own spacing) and in mm.
-fn nearest(position: DVec3, border: &Border, grid: &Grid) -> (f64, f64) {
-    let per_step = grid.step_mm().recip();
-    let mut best = (f64::INFINITY, f64::INFINITY);
-    for point in &border.points {
-        let offset = position - grid.position_mm(point.voxel);
-        best = (best.0.min((offset * per_step).length_squared()), best.1.min(offset.length_squared()));
-    }
-    (best.0.sqrt(), best.1.sqrt())
 }
 
 /// Refuses surfaces that are no wall.

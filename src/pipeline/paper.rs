@@ -4,12 +4,13 @@
 use super::{
     GateReconstruction, PerSurface, PipelineError, Reconstruction, Surface,
     borders::{self, Borders},
-    canny, deform, first_error, gaps,
+    canny::{self, Smoothing},
+    deform, first_error, gaps,
     gvf::{self, Flow},
     measure,
     monitor::{Monitor, Stage},
     observed,
-    parameters::{Parameters, Seed},
+    parameters::{EdgeOperator, Parameters, Seed},
     region::{self, Extent},
     wall,
 };
@@ -30,11 +31,14 @@ pub(super) fn reconstruct(study: &Study, parameters: &Parameters, monitor: &dyn 
         let extents = location.extents(study);
         Ok((location, extents))
     })?;
+    // All gates have the field of view of the study.
+    let canny = parameters.edges.operator == EdgeOperator::Canny;
+    let smoothing = canny.then(|| canny::smoothing(&study.grid, location.known(), &parameters.edges));
     let found = study
         .gates
         .par_iter()
         .enumerate()
-        .map(|(gate, counts)| find_borders(gate, &counts.volume, &extents[gate], parameters, monitor))
+        .map(|(gate, counts)| find_borders(gate, &counts.volume, &extents[gate], smoothing.as_ref(), parameters, monitor))
         .collect::<Vec<_>>();
     let found = first_error(found)?;
     let gates = evolve_cycle(study, &found, parameters, monitor)?;
@@ -54,11 +58,13 @@ fn find_borders(
     gate: usize,
     counts: &Volume,
     extent: &Extent,
+    smoothing: Option<&Smoothing<'_>>,
     parameters: &Parameters,
     monitor: &dyn Monitor,
 ) -> Result<Borders, PipelineError> {
     let in_gate = Some(gate);
-    let gradient = observed(monitor, Stage::Edges, in_gate, || Ok(canny::gradient(counts, &extent.known, &parameters.edges)))?;
+    let gradient =
+        observed(monitor, Stage::Edges, in_gate, || Ok(canny::gradient_after(smoothing, counts, &extent.known, &parameters.edges)))?;
     let borders = observed(monitor, Stage::Borders, in_gate, || Ok(borders::borders(&gradient, extent, parameters)))?;
     for surface in Surface::BOTH {
         borders::check(gate + 1, surface, borders.found.get(surface))?;

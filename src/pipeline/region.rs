@@ -7,7 +7,7 @@ use super::{
     PerSurface, PipelineError, Region,
     arc::recentred,
     axis::{ANGLES, AxisLine, BEYOND_WALL_MM, at, best_centre, directions, fit_axis, follow_rings, middle_mm, significant},
-    canny::smooth_known,
+    canny::Smoothing,
     ends::{Apices, Direction, Ends, apices, direction, median, wall_ends},
     parameters::RegionMarks,
 };
@@ -90,6 +90,11 @@ impl Extent {
 }
 
 impl Location {
+    /// Voxels inside the camera's field of view.
+    pub(super) fn known(&self) -> &VoxelSet {
+        &self.known
+    }
+
     /// The region as the report tells it.
     pub fn region(&self, grid: &Grid) -> Region {
         let middle = self.axis.at(f64::midpoint(self.ends.low_mm, self.ends.high_mm));
@@ -114,7 +119,8 @@ impl Location {
     /// Where the ventricle of each gate begins and ends; each end is the median of its own and the neighbouring gates', since the valve plane
     /// moves smoothly and one gate's counts are few.
     pub fn extents(&self, study: &Study) -> Vec<Extent> {
-        let single: Vec<Extent> = study.gates.iter().map(|gate| self.extent(&gate.volume)).collect();
+        let smoothing = smoothing(&self.known, &study.grid);
+        let single: Vec<Extent> = study.gates.iter().map(|gate| self.extent(&gate.volume, &smoothing)).collect();
         let gates = single.len();
         let typical = |gate: usize, end: fn(&Extent) -> f64| {
             if gates < 3 { end(&single[gate]) } else { median(&mut [gates - 1, 0, 1].map(|shift| end(&single[(gate + shift) % gates]))) }
@@ -133,9 +139,9 @@ impl Location {
     }
 
     /// Where the ventricle of one gate begins and ends, from that gate alone.
-    fn extent(&self, gate: &Volume) -> Extent {
+    fn extent(&self, gate: &Volume, smoothing: &Smoothing<'_>) -> Extent {
         let grid = gate.grid;
-        let smooth = smooth(&gate.counts, &self.known, &grid);
+        let smooth = smoothing.of(&gate.counts);
         let profile = self.wall_profile(&grid, &smooth);
         let near = |end: f64, given: bool, found: Option<f64>| match found {
             Some(found) if !given && (found - end).abs() <= BASE_MOTION_MM => found,
@@ -206,7 +212,7 @@ pub fn locate(study: &Study, marks: &RegionMarks) -> Result<Location, PipelineEr
         return Err(PipelineError::NoLeftVentricle { why: "all counts are zero".into() });
     }
     let known = field_of_view(&sum);
-    let smooth = smooth(&sum.counts, &known, &grid);
+    let smooth = smoothing(&known, &grid).of(&sum.counts);
     let start = match marks.centre_mm {
         Some(centre) => DVec2::from_array(centre),
         None => best_centre(&grid, &smooth, &known)?,
@@ -284,8 +290,8 @@ fn rim_mean(sum: &Volume) -> f64 {
     total / rim.max(1) as f64
 }
 
-fn smooth(counts: &Array3<f32>, known: &VoxelSet, grid: &Grid) -> Array3<f32> {
-    smooth_known(counts, known, grid.spacing_mm.map(|spacing| SMOOTHING_MM / spacing))
+fn smoothing<'a>(known: &'a VoxelSet, grid: &Grid) -> Smoothing<'a> {
+    Smoothing::new(known, grid.spacing_mm.map(|spacing| SMOOTHING_MM / spacing))
 }
 
 #[cfg(test)]

@@ -5,7 +5,10 @@
 //! it is what it was over the second before, twice in a row. Measured on the paper's phantom without freezing, that distance falls for two
 //! to four seconds; afterwards particles only slide together, and the mesh falls in.
 
-use super::borders::Border;
+use super::{
+    borders::Border,
+    nearest::{Centres, nearest},
+};
 use crate::volume::Grid;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -36,7 +39,7 @@ const SAMPLES: usize = 4;
 /// Follows the particles that move.
 #[derive(Debug, Clone)]
 pub struct Rest {
-    centres_mm: Vec<DVec3>,
+    centres: Centres,
     steps_a_window: usize,
     /// Change of the mean distance from one window to the next below which particles are at rest, in mm; at 0 they never are.
     tolerance_mm: f64,
@@ -52,7 +55,7 @@ impl Rest {
     /// Nothing seen yet. At rest are particles whose mean distance changes by less than `tolerance_mm` a window; with 0 none ever are.
     pub fn new(border: &Border, grid: &Grid, particles: usize, (time_step_s, mass): (f64, f64), tolerance_mm: f64) -> Self {
         Self {
-            centres_mm: border.points.iter().map(|point| grid.position_mm(point.voxel)).collect(),
+            centres: Centres::of(border, grid),
             steps_a_window: ((WINDOW_S * mass.sqrt() / time_step_s).round() as usize).max(FEWEST_STEPS),
             tolerance_mm,
             still: 0,
@@ -77,9 +80,8 @@ impl Rest {
         if self.taken * SAMPLES / self.steps_a_window > self.samples {
             self.samples += 1;
             for particle in (0..positions.len()).filter(|&particle| !frozen[particle]) {
-                let square =
-                    self.centres_mm.iter().map(|centre| centre.distance_squared(positions[particle])).fold(f64::INFINITY, f64::min);
-                self.distances_mm[particle] += square.sqrt();
+                let [_, square_mm2] = nearest(&self.centres, positions[particle].to_array());
+                self.distances_mm[particle] += square_mm2.sqrt();
             }
         }
         if self.taken < self.steps_a_window {

@@ -207,18 +207,25 @@ fn eligible(gradient: &Gradient, extent: &Extent, surface: Surface, outer_mm: &[
     let grid = gradient.field.grid;
     let [gx, gy, _] = &gradient.field.components;
     let mut set = VoxelSet::empty(grid.shape);
-    for ((z, y, x), member) in set.member.indexed_iter_mut() {
-        let position = grid.position_mm([z, y, x]);
-        let out = extent.from_axis_mm(position);
-        let radius = out.length();
-        if !extent.is_useful(z) || radius > extent.radius_mm || !extent.known.member[[z, y, x]] {
+    for z in (0..grid.shape[0]).filter(|&z| extent.is_useful(z)) {
+        let outer = outer_mm[z];
+        if surface == Surface::Endocardial && outer.is_none() {
             continue;
         }
-        let rise = f64::from(gx[[z, y, x]]) * out.x + f64::from(gy[[z, y, x]]) * out.y;
-        *member = match surface {
-            Surface::Endocardial => rise > 0.0 && outer_mm[z].is_some_and(|outer| radius < outer),
-            Surface::Epicardial => rise < 0.0,
-        };
+        for y in 0..grid.shape[1] {
+            for x in 0..grid.shape[2] {
+                let out = extent.from_axis_mm(grid.position_mm([z, y, x]));
+                let radius = out.length();
+                if radius > extent.radius_mm || !extent.known.member[[z, y, x]] {
+                    continue;
+                }
+                let rise = f64::from(gx[[z, y, x]]) * out.x + f64::from(gy[[z, y, x]]) * out.y;
+                set.member[[z, y, x]] = match surface {
+                    Surface::Endocardial => rise > 0.0 && outer.is_some_and(|outer| radius < outer),
+                    Surface::Epicardial => rise < 0.0,
+                };
+            }
+        }
     }
     set
 }
