@@ -16,7 +16,7 @@ use std::{sync::Arc, time::Duration};
 use uuid::Uuid;
 
 /// Most waiting jobs that a claim counts. More than the processors of a machine make no difference to it.
-pub(super) const MOST_COUNTED: u64 = 1024;
+pub(super) const MOST_COUNTED: u64 = 128;
 
 /// A job held by a worker.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,7 +29,7 @@ pub struct Claim {
     pub parameters: String,
     /// From its acceptance to this claim.
     pub waited: Duration,
-    /// Further jobs that can be claimed now, on whichever node; 1024 at most.
+    /// Further jobs that can be claimed now, on whichever node; 128 at most.
     pub others_waiting: u64,
 }
 
