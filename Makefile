@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build web test chaos bench-queue fuzz lint openapi tables accuracy
+.PHONY: help demo build web test chaos bench-queue bench-http bench-scaling fuzz lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -49,6 +49,12 @@ chaos: ## kills services and databases at random times under 500 real jobs each,
 
 bench-queue: ## measures what the queue carries and what more nodes bring (about five minutes)
 	cargo bench --locked --bench queue
+
+bench-http: ## measures the service through HTTP: accepted, answered, computed, memory (about five minutes)
+	cargo bench --locked --bench http -- $(SECTIONS)
+
+bench-scaling: ## simulates 1, 10 and 1 000 studies a minute from what bench-http measured
+	cargo bench --locked --bench scaling
 
 # Targets and their corpus are in fuzz/; what is found stays in fuzz/artifacts.
 FUZZ_SECONDS ?= 600

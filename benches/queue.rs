@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 use ventricle::{
-    jobs::{Backend, NewJob, Output, Store, StoreSettings, Work, WorkerSettings, start_workers},
+    jobs::{Backend, NewJob, Output, Store, StoreSettings, Threads, Work, WorkerSettings, start_workers},
     phantom::{self, Imaging, Phantom, Shape, Ventricle},
     pipeline::parameters::Parameters,
     study::Study,
@@ -72,7 +72,7 @@ async fn store(url: &str) -> Store {
 fn nothing(workers: usize) -> WorkerSettings {
     let work: Work =
         Arc::new(|_, _, _, _| Ok(vec![Output { name: "report".into(), media_type: "application/json", data: b"{}".to_vec() }]));
-    WorkerSettings { workers, threads_per_worker: 1, work, ..WorkerSettings::default() }
+    WorkerSettings { workers, threads: Threads::Fixed(1), work, ..WorkerSettings::default() }
 }
 
 /// Works from the first line on standard input to its end.
@@ -221,7 +221,9 @@ async fn measure() {
                 .map(|_| {
                     let mut command = Command::new(env!("CARGO_BIN_EXE_ventricle"));
                     command.args(["serve", "--listen", "127.0.0.1:0", "--log", "warn", "--database-url", &cluster.url]);
-                    Node::start(command.args(threads.into_iter().flat_map(|threads| ["--threads-per-worker", threads])))
+                    Node::start(
+                        command.args(["--workers", "1"]).args(threads.into_iter().flat_map(|threads| ["--threads-per-worker", threads])),
+                    )
                 })
                 .collect();
             let began = Instant::now();

@@ -53,11 +53,11 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_LEASE_SECONDS", default_value = "30", value_parser = clap::value_parser!(u64).range(2..=3600))]
     pub lease_seconds: u64,
 
-    /// Jobs worked on at once.
-    #[arg(long, env = "VENTRICLE_WORKERS", default_value = "1")]
-    pub workers: NonZeroUsize,
+    /// Jobs worked on at once [default: one a processor; with `--threads-per-worker` the processors divided by it].
+    #[arg(long, env = "VENTRICLE_WORKERS")]
+    pub workers: Option<NonZeroUsize>,
 
-    /// Threads of each worker [default: the processors divided by the workers].
+    /// Threads of each job [default: by load: all processors for a job alone, one where as many run or wait].
     #[arg(long, env = "VENTRICLE_THREADS_PER_WORKER")]
     pub threads_per_worker: Option<NonZeroUsize>,
 
@@ -395,10 +395,10 @@ impl ServeSettings {
         }
     }
 
-    /// Threads of each worker: what is asked for, else the processors shared evenly.
-    pub fn threads(&self) -> NonZeroUsize {
-        let processors = std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
-        self.threads_per_worker.or(NonZeroUsize::new(processors.get() / self.workers)).unwrap_or(NonZeroUsize::MIN)
+    /// Jobs worked on at once where there are so many processors: what is asked for, else so many that each processor has a thread.
+    pub fn workers(&self, processors: NonZeroUsize) -> NonZeroUsize {
+        let shared = || NonZeroUsize::new(processors.get() / self.threads_per_worker.unwrap_or(NonZeroUsize::MIN));
+        self.workers.or_else(shared).unwrap_or(NonZeroUsize::MIN)
     }
 
     /// Largest body in bytes.
@@ -525,6 +525,14 @@ mod tests {
         for wrong in ["", "a b", "a/b", &"a".repeat(65)] {
             assert!(ServeSettings::from_flags(["--node", wrong]).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn workers_are_as_many_as_have_processors_unless_said_otherwise() {
+        let eight = NonZeroUsize::new(8).unwrap();
+        let workers = |flags: &[&str]| settings(flags).workers(eight).get();
+        assert_eq!((workers(&[]), workers(&["--workers", "3"]), workers(&["--threads-per-worker", "3"])), (8, 3, 2));
+        assert_eq!((workers(&["--threads-per-worker", "16"]), workers(&["--threads-per-worker", "8", "--workers", "8"])), (1, 8));
     }
 
     #[test]

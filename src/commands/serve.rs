@@ -3,9 +3,6 @@
 use anyhow::Context as _;
 use ventricle::{config::ServeSettings, http, telemetry};
 
-/// Stack of the runtime's threads, where files are parsed: four times the usual, for the deepest nesting the limits allow.
-const STACK_BYTES: usize = 8 << 20;
-
 /// Arguments of `ventricle serve`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -16,10 +13,17 @@ pub(crate) struct Args {
 /// Runs the service until it is told to stop.
 pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     telemetry::init(args.settings.log_format, &args.settings.log)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .thread_stack_size(STACK_BYTES)
-        .build()
-        .context("The runtime did not start")?;
+    allow_descriptors();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("The runtime did not start")?;
     Ok(runtime.block_on(http::serve(args.settings))?)
+}
+
+/// Takes as many file descriptors as the system allows to whoever asks: the usual soft limit (1024, kept low for programs that call `select`) is
+/// less than the clients that may listen to events.
+fn allow_descriptors() {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    if let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }) {
+        tracing::warn!(%error, "the limit on open files stays as it was");
+    }
 }

@@ -10,9 +10,9 @@ use crate::{
     codecs::Decoder,
     config::{self, ConfigError, ServeSettings},
     dimse, intake,
-    jobs::{self, Backend, Store, StoreError, StoreSettings, WorkerSettings, Workers},
+    jobs::{self, Backend, Store, StoreError, StoreSettings, Threads, WorkerSettings, Workers},
 };
-use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+use std::{io, net::SocketAddr, num::NonZeroUsize, sync::Arc, time::Duration};
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
@@ -250,9 +250,10 @@ fn dimse_settings(
 
 /// The workers a service with these settings has.
 fn worker_settings(settings: &ServeSettings) -> WorkerSettings {
+    let processors = std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
     WorkerSettings {
-        workers: settings.workers.get(),
-        threads_per_worker: settings.threads().get(),
+        workers: settings.workers(processors).get(),
+        threads: settings.threads_per_worker.map_or(Threads::ByLoad(processors.get()), |threads| Threads::Fixed(threads.get())),
         node: settings.node_name(),
         heartbeat: settings.heartbeat(),
         ..WorkerSettings::default()

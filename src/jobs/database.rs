@@ -17,10 +17,20 @@ use sqlx::{
         SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteLockingMode, SqlitePoolOptions, SqliteRow, SqliteSynchronous,
     },
 };
-use std::{io, path::Path, time::Duration};
+use std::{
+    fs::{File, TryLockError},
+    io,
+    path::Path,
+    sync::Arc,
+    time::Duration,
+};
 
 /// The database file inside the data directory.
 const FILE_NAME: &str = "ventricle.sqlite";
+/// The file that is locked while a process has the data directory. Not the database's own: closing any handle of that would give up SQLite's locks.
+const LOCK_NAME: &str = "ventricle.lock";
+/// Connections that read, beside the one that writes: looking at a job does not wait until megabytes of another one are synchronised to disk.
+const READERS: u32 = 2;
 /// The least SQLite the store is proven on: it repairs a rare corruption when a write-ahead log is reset.
 const LEAST_SQLITE: (&str, [u32; 3]) = ("3.51.3", [3, 51, 3]);
 /// The write-ahead log is cut back to this size in bytes after a checkpoint, so that one burst of results does not keep its disk.
@@ -41,8 +51,18 @@ const NEWS: &str = "CASE WHEN state = 'queued' THEN 'queued' WHEN state = 'runni
 /// The database behind a store.
 #[derive(Debug, Clone)]
 pub(super) enum Database {
-    Sqlite(Pool<Sqlite>),
+    Sqlite(Embedded),
     Postgres(Pool<Postgres>),
+}
+
+/// The database of a data directory that this process has for itself.
+#[derive(Debug, Clone)]
+pub(super) struct Embedded {
+    /// One connection: SQLite has one writer at a time.
+    writer: Pool<Sqlite>,
+    readers: Pool<Sqlite>,
+    /// Locked until it is closed.
+    lock: Arc<File>,
 }
 
 /// A transaction; dropped without [`Transaction::commit`] it is rolled back.
@@ -108,11 +128,12 @@ impl Database {
     /// process has it and keeps it longer than `wait`.
     pub(super) async fn sqlite(directory: &Path, wait: Duration) -> Result<Self, StoreError> {
         std::fs::create_dir_all(directory).map_err(|source| StoreError::Directory { directory: directory.to_path_buf(), source })?;
+        let refused = |source: io::Error| StoreError::Directory { directory: directory.to_path_buf(), source };
+        let lock = File::options().create(true).truncate(false).write(true).open(directory.join(LOCK_NAME)).map_err(refused)?;
         let options = SqliteConnectOptions::new()
             .filename(directory.join(FILE_NAME))
             .create_if_missing(true)
-            // Before the journal mode: the log's index is then in memory and the file is locked until the connection ends.
-            .locking_mode(SqliteLockingMode::Exclusive)
+            .locking_mode(SqliteLockingMode::Normal)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             .auto_vacuum(SqliteAutoVacuum::Incremental)
@@ -120,31 +141,26 @@ impl Database {
             .pragma("journal_size_limit", WAL_LIMIT_BYTES)
             .busy_timeout(LOCK_PAUSE);
         let deadline = tokio::time::Instant::now() + wait;
-        let pool = loop {
-            // One connection that is never closed: closing it would give up the lock.
-            let pool = SqlitePoolOptions::new()
-                .max_connections(1)
-                .idle_timeout(None)
-                .max_lifetime(None)
-                .acquire_timeout(ACQUIRE_TIMEOUT)
-                .connect_lazy_with(options.clone());
-            match take_lock(&pool).await {
-                Ok(()) => break pool,
-                Err(error) => {
-                    pool.close().await;
-                    if !is_locked(&error) {
-                        return Err(StoreError::Directory { directory: directory.to_path_buf(), source: io::Error::other(error) });
-                    }
-                    if tokio::time::Instant::now() >= deadline {
-                        return Err(StoreError::DirectoryInUse { directory: directory.to_path_buf() });
-                    }
-                    tokio::time::sleep(LOCK_PAUSE).await;
-                }
+        let writer = loop {
+            let in_use = match lock.try_lock() {
+                Ok(()) => match connect_writer(&options).await {
+                    Ok(writer) => break writer,
+                    // A program that looks at the file, or a version before this one, which locks the file itself.
+                    Err(error) if is_locked(&error) => true,
+                    Err(error) => return Err(refused(io::Error::other(error))),
+                },
+                Err(TryLockError::WouldBlock) => true,
+                Err(TryLockError::Error(error)) => return Err(refused(error)),
+            };
+            if in_use && tokio::time::Instant::now() >= deadline {
+                return Err(StoreError::DirectoryInUse { directory: directory.to_path_buf() });
             }
+            tokio::time::sleep(LOCK_PAUSE).await;
         };
-        let database = Self::Sqlite(pool);
-        database.check_sqlite().await?;
-        Ok(database)
+        let readers = connections(READERS).connect_lazy_with(options.pragma("query_only", "ON"));
+        let embedded = Embedded { writer, readers, lock: Arc::new(lock) };
+        embedded.check().await?;
+        Ok(Self::Sqlite(embedded))
     }
 
     /// Connects to a PostgreSQL database. A node that stops for `patience` in the middle of a transaction loses its connection, and with
@@ -166,33 +182,6 @@ impl Database {
                 error => error.into(),
             })?;
         Ok(Self::Postgres(pool))
-    }
-
-    /// That the linked SQLite is recent enough and took the settings durability rests on.
-    async fn check_sqlite(&self) -> Result<(), StoreError> {
-        let found = self.text("SELECT sqlite_version()").await?;
-        let (required, least) = LEAST_SQLITE;
-        if version(&found).is_none_or(|version| version < least) {
-            return Err(StoreError::SqliteTooOld { found, required });
-        }
-        for (setting, sql, wanted) in [
-            ("journal_mode = wal", "SELECT journal_mode FROM pragma_journal_mode()", "wal"),
-            ("synchronous = full", "SELECT CAST(synchronous AS TEXT) FROM pragma_synchronous()", "2"),
-            ("locking_mode = exclusive", "SELECT locking_mode FROM pragma_locking_mode()", "exclusive"),
-            ("foreign_keys = on", "SELECT CAST(foreign_keys AS TEXT) FROM pragma_foreign_keys()", "1"),
-        ] {
-            let found = self.text(sql).await?;
-            if found != wanted {
-                return Err(StoreError::Setting { setting, found });
-            }
-        }
-        Ok(())
-    }
-
-    /// The one text a query gives.
-    async fn text(&self, sql: &str) -> Result<String, StoreError> {
-        let row = self.fetch_one(sql, vec![]).await?;
-        row.map_or(Ok(String::new()), |row| row.get(0))
     }
 
     /// Whether several processes may share the database.
@@ -228,7 +217,7 @@ impl Database {
     /// Begins a transaction that may write.
     pub(super) async fn begin(&self) -> Result<Transaction, StoreError> {
         Ok(match self {
-            Self::Sqlite(pool) => Transaction::Sqlite(pool.begin_with("BEGIN IMMEDIATE").await?),
+            Self::Sqlite(embedded) => Transaction::Sqlite(embedded.writer.begin_with("BEGIN IMMEDIATE").await?),
             Self::Postgres(pool) => Transaction::Postgres(pool.begin().await?),
         })
     }
@@ -246,7 +235,11 @@ impl Database {
     pub(super) async fn fetch(&self, sql: &str, values: Vec<Value>) -> Result<Vec<Row>, StoreError> {
         let sql = self.render(sql);
         match self {
-            Self::Sqlite(pool) => Ok(bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect()),
+            Self::Sqlite(embedded) => {
+                // A statement that reads says so with its first word.
+                let pool = if sql.trim_start().starts_with("SELECT") { &embedded.readers } else { &embedded.writer };
+                Ok(bound!(sql, values).fetch_all(pool).await?.into_iter().map(Row::Sqlite).collect())
+            }
             Self::Postgres(_) => {
                 let mut transaction = self.begin().await?;
                 let rows = transaction.fetch(&sql, values).await?;
@@ -264,8 +257,44 @@ impl Database {
     /// Ends all connections.
     pub(super) async fn close(&self) {
         match self {
-            Self::Sqlite(pool) => pool.close().await,
+            Self::Sqlite(embedded) => embedded.close().await,
             Self::Postgres(pool) => pool.close().await,
+        }
+    }
+}
+
+impl Embedded {
+    /// That the linked SQLite is recent enough and took the settings durability rests on.
+    async fn check(&self) -> Result<(), StoreError> {
+        let found = self.text("SELECT sqlite_version()").await?;
+        let (required, least) = LEAST_SQLITE;
+        if version(&found).is_none_or(|version| version < least) {
+            return Err(StoreError::SqliteTooOld { found, required });
+        }
+        for (setting, sql, wanted) in [
+            ("journal_mode = wal", "SELECT journal_mode FROM pragma_journal_mode()", "wal"),
+            ("synchronous = full", "SELECT CAST(synchronous AS TEXT) FROM pragma_synchronous()", "2"),
+            ("foreign_keys = on", "SELECT CAST(foreign_keys AS TEXT) FROM pragma_foreign_keys()", "1"),
+        ] {
+            let found = self.text(sql).await?;
+            if found != wanted {
+                return Err(StoreError::Setting { setting, found });
+            }
+        }
+        Ok(())
+    }
+
+    /// The one text a query of the connection that writes gives.
+    async fn text(&self, sql: &'static str) -> Result<String, StoreError> {
+        Ok(sqlx::query_scalar(sql).fetch_one(&self.writer).await?)
+    }
+
+    async fn close(&self) {
+        self.readers.close().await;
+        // Last, as it merges the log into the file.
+        self.writer.close().await;
+        if let Err(error) = self.lock.unlock() {
+            tracing::warn!(%error, "the data directory stays locked until this process ends");
         }
     }
 }
@@ -369,10 +398,23 @@ impl From<uuid::Uuid> for Value {
     }
 }
 
-/// Makes the connection and writes, which takes the exclusive lock that is then kept.
-async fn take_lock(pool: &Pool<Sqlite>) -> Result<(), sqlx::Error> {
-    let mut connection = pool.acquire().await?;
-    sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT").execute(&mut *connection).await.map(drop)
+/// Connections to an embedded database: nothing ends them from outside, so they are neither replaced nor tried before they are used.
+fn connections(most: u32) -> SqlitePoolOptions {
+    let options = SqlitePoolOptions::new().max_connections(most).idle_timeout(None).max_lifetime(None);
+    options.acquire_timeout(ACQUIRE_TIMEOUT).test_before_acquire(false)
+}
+
+/// Makes the connection that writes, and the file where there is none; fails where someone else has it.
+async fn connect_writer(options: &SqliteConnectOptions) -> Result<Pool<Sqlite>, sqlx::Error> {
+    let pool = connections(1).connect_lazy_with(options.clone());
+    let tried = async { sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT").execute(&mut *pool.acquire().await?).await };
+    match tried.await {
+        Ok(_) => Ok(pool),
+        Err(error) => {
+            pool.close().await;
+            Err(error)
+        }
+    }
 }
 
 /// Whether the error says that someone else has the database.

@@ -15,6 +15,9 @@ use super::{
 use std::{sync::Arc, time::Duration};
 use uuid::Uuid;
 
+/// Most waiting jobs that a claim counts. More than the processors of a machine make no difference to it.
+pub(super) const MOST_COUNTED: u64 = 128;
+
 /// A job held by a worker.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
@@ -26,6 +29,8 @@ pub struct Claim {
     pub parameters: String,
     /// From its acceptance to this claim.
     pub waited: Duration,
+    /// Further jobs that can be claimed now, on whichever node; 128 at most.
+    pub others_waiting: u64,
 }
 
 /// The answer to a heartbeat.
@@ -77,14 +82,19 @@ impl Store {
             WHERE state = 'queued' AND id = (
                 SELECT id FROM jobs WHERE state = 'queued' AND run_after <= {now} ORDER BY priority DESC, id LIMIT 1 {skip_locked}
             )
-            RETURNING id, attempts, parameters, input_bytes, started_at - created_at, {notify}";
-        let values = values![worker, milliseconds(self.inner.settings.lease)];
+            RETURNING id, attempts, parameters, input_bytes, started_at - created_at, (
+                SELECT COUNT(*) FROM (
+                    SELECT 1 FROM jobs AS others WHERE others.state = 'queued' AND others.run_after <= {now} AND others.id <> jobs.id LIMIT $3
+                ) AS waiting
+            ), {notify}";
+        let values = values![worker, milliseconds(self.inner.settings.lease), MOST_COUNTED as i64];
         let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(None) };
         self.inner.queue.left(row.get::<i64>(3)? as u64);
         let id = parse_id(&row.get::<String>(0)?)?;
         self.inner.watchers.announce(id);
         let waited = Duration::from_millis(row.get::<i64>(4)?.max(0) as u64);
-        Ok(Some(Claim { id, attempt: row.get(1)?, parameters: row.get(2)?, waited }))
+        let others_waiting = row.get::<i64>(5)?.max(0) as u64;
+        Ok(Some(Claim { id, attempt: row.get(1)?, parameters: row.get(2)?, waited, others_waiting }))
     }
 
     /// The stored study of a claimed job, encoded (see [`super::input`]); `None` if the job is no longer this attempt's. Whoever has it

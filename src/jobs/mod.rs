@@ -13,7 +13,8 @@
 //! | `inbox.rs` | DICOM instances that wait for the rest of their study |
 //! | `lease.rs` | the worker's side of the rows: claim, heartbeat, finish, give back, reap |
 //! | `queue.rs` | limits, reservations and the measured rate |
-//! | `worker.rs`, `compute.rs`, `reaper.rs` | who works, on which threads, and who takes back what lost workers held |
+//! | `worker.rs`, `compute.rs`, `threads.rs`, `reaper.rs` | who works, on which threads and how many, and who takes back what lost workers held |
+//! | [`priority`] | how threads that compute stand back behind those that answer |
 //! | `ending.rs`, `expiry.rs` | what follows when a job ends; what is deleted when its time is over |
 //! | `deliveries.rs` | who claims and settles what is to be told of a job's end |
 //! | `backoff.rs` | pauses between attempts at what failed for the moment |
@@ -37,6 +38,7 @@ pub mod input;
 mod job;
 mod lease;
 mod listen;
+pub mod priority;
 mod progress;
 mod queue;
 mod reaper;
@@ -44,6 +46,7 @@ mod schema;
 mod settings;
 pub mod store;
 mod submit;
+mod threads;
 mod watch;
 pub mod work;
 mod worker;
@@ -58,5 +61,6 @@ pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;
 pub use settings::{Backend, StoreSettings};
 pub use store::Store;
+pub use threads::Threads;
 pub use work::{Output, Work, WorkError};
 pub use worker::{Drained, WorkerSettings, Workers, start_workers};

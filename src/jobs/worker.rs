@@ -10,6 +10,7 @@ use super::{
     progress::{Progress, Snapshot},
     reaper,
     store::Store,
+    threads::Threads,
     work::{Output, Work, WorkError, reconstruct_and_export},
 };
 use futures_util::future::join_all;
@@ -35,8 +36,8 @@ const GIVE_BACK_TIME: Duration = Duration::from_secs(5);
 pub struct WorkerSettings {
     /// Jobs worked on at once.
     pub workers: usize,
-    /// Threads of each worker's own pool.
-    pub threads_per_worker: usize,
+    /// Who decides on how many threads a job is computed.
+    pub threads: Threads,
     /// Name of this node in the leases, for people who read the table.
     pub node: String,
     /// How often a lease is renewed.
@@ -50,11 +51,11 @@ pub struct WorkerSettings {
 }
 
 impl Default for WorkerSettings {
-    /// One worker with all processors: gates of one study are reconstructed at once, so a second job would only make the first later.
+    /// One worker with all processors.
     fn default() -> Self {
         Self {
             workers: 1,
-            threads_per_worker: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            threads: Threads::ByLoad(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)),
             node: "local".to_owned(),
             heartbeat: Duration::from_secs(5),
             progress_interval: Duration::from_millis(250),
@@ -92,9 +93,7 @@ enum Phase {
 pub fn start_workers(store: Store, settings: WorkerSettings) -> io::Result<Workers> {
     let (phase, seen_phase) = watch::channel(Phase::Claiming);
     store.inner.queue.served_by(settings.workers);
-    let compute = (1..=settings.workers)
-        .map(|number| ComputeThread::start(&format!("worker-{number}"), settings.threads_per_worker.max(1)))
-        .collect::<io::Result<Vec<_>>>()?;
+    let compute = (1..=settings.workers).map(|number| ComputeThread::start(&format!("worker-{number}"))).collect::<io::Result<Vec<_>>>()?;
     let tasks: Vec<JoinHandle<usize>> = (1..)
         .zip(compute)
         .map(|(number, compute)| {
@@ -213,7 +212,9 @@ impl Worker {
     /// Computes on the worker's own thread.
     fn compute(&self, claim: &Claim, input: Vec<u8>, progress: &Arc<Progress>) -> Computed {
         let (work, progress, id, parameters) = (Arc::clone(&self.settings.work), Arc::clone(progress), claim.id, claim.parameters.clone());
-        self.compute.run(move || {
+        let threads = self.threads(claim);
+        tracing::debug!(threads, "computing");
+        self.compute.run(threads, move || {
             let internal = |error: &dyn std::fmt::Display| WorkError::Internal(format!("stored job: {error}"));
             let study = input::decode(&input).map_err(|error| internal(&error))?;
             drop(input);
@@ -221,6 +222,12 @@ impl Worker {
             let parameters = serde_json::from_str(&parameters).map_err(|error| internal(&error))?;
             work(&study, &parameters, id, &progress)
         })
+    }
+
+    /// Threads for a job that begins now, beside those that this process holds and those that wait.
+    fn threads(&self, claim: &Claim) -> usize {
+        let running = self.store.running().len();
+        self.settings.threads.of_job(running, claim.others_waiting as usize, self.settings.workers)
     }
 
     /// Keeps the lease and tells the progress until the work ends; `None` if the lease was lost or is to be given back.

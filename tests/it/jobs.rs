@@ -16,7 +16,7 @@ use std::{
 use ventricle::{
     jobs::{
         Deletion, Finish, Heartbeat, ListQuery, NewJob, Outcome, Snapshot, State, Store, StoreError, StoreSettings, SubmitError, Submitted,
-        WorkError, WorkerSettings, input, start_workers,
+        Threads, WorkError, WorkerSettings, input, start_workers,
     },
     pipeline::{
         monitor::{Monitor, Stage},
@@ -42,6 +42,7 @@ on_both_engines! {
     lists_are_newest_first_in_pages_and_filtered,
     waiting_ends_with_a_change_the_time_or_the_job,
     the_rate_is_measured_and_survives_a_restart,
+    a_job_has_the_processors_that_others_leave_it,
 }
 
 async fn a_job_goes_from_queued_to_succeeded_with_its_results(place: &Place) {
@@ -80,6 +81,43 @@ async fn a_job_goes_from_queued_to_succeeded_with_its_results(place: &Place) {
     assert!(running.alive());
     running.drain(Duration::from_secs(10)).await;
     assert!(!running.alive());
+}
+
+async fn a_job_has_the_processors_that_others_leave_it(place: &Place) {
+    let store = place.open().await;
+    let (tell, told) = std::sync::mpsc::channel();
+    let (go, gone) = std::sync::mpsc::channel::<()>();
+    let gone = std::sync::Mutex::new(gone);
+    let work = work(move |_, _, id, _| {
+        tell.send((id, rayon::current_num_threads())).unwrap();
+        gone.lock().unwrap().recv().unwrap();
+        Ok(Vec::new())
+    });
+    let told = std::sync::Mutex::new(told);
+    let next = || told.lock().unwrap().recv_timeout(Duration::from_secs(20)).unwrap();
+    let settings = WorkerSettings { workers: 2, threads: Threads::ByLoad(4), work, ..WorkerSettings::default() };
+    let workers = start_workers(store.clone(), settings.clone()).unwrap();
+    let alone = submit(&store).await.id;
+    assert_eq!(next(), (alone, 4), "nothing else runs or waits");
+    let second = submit(&store).await.id;
+    assert_eq!(next(), (second, 2), "another one runs");
+    go.send(()).unwrap();
+    go.send(()).unwrap();
+    until_state(&store, alone, State::Succeeded).await;
+    until_state(&store, second, State::Succeeded).await;
+    workers.drain(Duration::from_secs(10)).await;
+
+    let ids = [submit(&store).await.id, submit(&store).await.id, submit(&store).await.id];
+    let workers = start_workers(store.clone(), settings).unwrap();
+    let mut begun = [next(), next()];
+    begun.sort();
+    assert_eq!(begun, [(ids[0], 2), (ids[1], 2)], "the other worker takes what waits");
+    go.send(()).unwrap();
+    assert_eq!(next(), (ids[2], 2));
+    go.send(()).unwrap();
+    go.send(()).unwrap();
+    until_state(&store, ids[2], State::Succeeded).await;
+    workers.drain(Duration::from_secs(10)).await;
 }
 
 async fn the_input_is_kept_when_asked_for(place: &Place) {

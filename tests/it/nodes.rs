@@ -13,8 +13,8 @@ use std::{
 use uuid::Uuid;
 use ventricle::{
     jobs::{
-        Deletion, Finish, Heartbeat, News, Outcome, Snapshot, State, Store, StoreSettings, SubmitError, Submitted, Work, WorkerSettings,
-        Workers, start_workers,
+        Deletion, Finish, Heartbeat, News, Outcome, Snapshot, State, Store, StoreSettings, SubmitError, Submitted, Threads, Work,
+        WorkerSettings, Workers, start_workers,
     },
     phantom::{self, Imaging, Phantom, Shape, Ventricle},
     pipeline::monitor::{Monitor, Stage},
@@ -45,7 +45,7 @@ async fn hearing(place: &Place) -> Store {
 
 /// Workers that learn of others' changes by hearing only.
 fn hearing_workers(store: &Store, work: Work) -> Workers {
-    let settings = WorkerSettings { threads_per_worker: 1, heartbeat: NEVER, poll: NEVER, work, ..WorkerSettings::default() };
+    let settings = WorkerSettings { threads: Threads::Fixed(1), heartbeat: NEVER, poll: NEVER, work, ..WorkerSettings::default() };
     start_workers(store.clone(), settings).unwrap()
 }
 
@@ -249,7 +249,7 @@ async fn the_rate_is_that_of_all_nodes(place: &Place) {
     let slow = "UPDATE jobs SET started_at = finished_at - 8000 WHERE id = $1";
     sqlx::query(slow).bind(measured.id.to_string()).execute(&mut place.connect().await).await.unwrap();
 
-    let settings = |workers| WorkerSettings { workers, threads_per_worker: 1, work: endless(), ..WorkerSettings::default() };
+    let settings = |workers| WorkerSettings { workers, threads: Threads::Fixed(1), work: endless(), ..WorkerSettings::default() };
     let _one = start_workers(asked.clone(), settings(1)).unwrap();
     let _three = start_workers(working.clone(), settings(3)).unwrap();
     for _ in 0..4 {

@@ -13,7 +13,7 @@ use std::{
 use uuid::Uuid;
 use ventricle::{
     jobs::{
-        Backend, Job, NewJob, Output, Progress, State, Store, StoreSettings, Submitted, Work, WorkError, WorkerSettings, Workers,
+        Backend, Job, NewJob, Output, Progress, State, Store, StoreSettings, Submitted, Threads, Work, WorkError, WorkerSettings, Workers,
         start_workers,
     },
     pipeline::{monitor::Monitor, parameters::Parameters},
@@ -210,7 +210,7 @@ pub(crate) fn endless() -> Work {
 
 pub(crate) fn workers(store: &Store, work: Work) -> Workers {
     let settings = WorkerSettings {
-        threads_per_worker: 1,
+        threads: Threads::Fixed(1),
         heartbeat: Duration::from_millis(100),
         progress_interval: Duration::from_millis(20),
         poll: Duration::from_millis(50),
