@@ -14,11 +14,11 @@ RUN npm run build
 FROM rust:1.95.0-bookworm AS build
 WORKDIR /build
 # Dependencies first: this layer is built again only when the manifest or the lock file changes. The manifest names the integration
-# tests and the benchmark, so cargo wants their files to exist.
+# tests and the benches, so cargo wants their files to exist.
 COPY Cargo.toml Cargo.lock ./
-RUN mkdir -p src tests/it benches \
+RUN mkdir -p src tests/it benches/instructions \
     && echo 'fn main() {}' > src/main.rs \
-    && touch src/lib.rs tests/it/main.rs benches/queue.rs \
+    && touch src/lib.rs tests/it/main.rs benches/queue.rs benches/stages.rs benches/peers.rs benches/instructions/main.rs \
     && cargo build --release --locked
 COPY . .
 COPY --from=web /build/web/dist web/dist
