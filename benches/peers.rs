@@ -5,6 +5,7 @@
 mod measure;
 
 use measure::{Took, Watch, heart, target, timed};
+use ndarray::Array3;
 use rayon::ThreadPoolBuilder;
 use serde_json::{Map, Value, json};
 use std::{
@@ -98,33 +99,37 @@ impl Peer {
         let bytes = |values: &mut dyn Iterator<Item = f32>| values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
         let mut gates = self.study.gates.iter().flat_map(|gate| gate.volume.counts.iter().copied());
         fs::write(folder.join("gates.f32"), bytes(&mut gates)).unwrap();
+        let mut shapes = Vec::new();
         for surface in Surface::BOTH {
-            let mut map = VoxelSet::empty(self.study.grid.shape);
-            for point in &self.borders.get(surface).points {
-                map.member[point.voxel] = true;
-            }
-            let mut values = map.member.iter().map(|&on| f32::from(u8::from(on)));
-            fs::write(folder.join(format!("edges-{}.f32", surface.name())), bytes(&mut values)).unwrap();
+            let map = self.map(surface);
+            shapes.push(map.shape().to_vec());
+            fs::write(folder.join(format!("edges-{}.f32", surface.name())), bytes(&mut map.iter().copied())).unwrap();
         }
-        let extents: Vec<Value> = self
-            .extents
-            .iter()
-            .map(|extent| {
-                let axis = |z| extent.at_axis_mm(glam::DVec2::ZERO, z).truncate();
-                json!({
-                    "axis_at_mm": axis(0.0).to_array(), "axis_slope": (axis(1.0) - axis(0.0)).to_array(), "radius_mm": extent.radius_mm,
-                    "apex_mm": [extent.apex_mm.endocardial, extent.apex_mm.epicardial], "base_mm": extent.base_mm,
-                })
-            })
-            .collect();
         let (edges, deform) = (&self.parameters.edges, &self.parameters.deform);
         json!({
-            "shape": self.study.grid.shape, "spacing_mm": self.study.grid.spacing_mm, "gates": self.study.gates.len(), "extents": extents,
+            "shape": self.study.grid.shape, "spacing_mm": self.study.grid.spacing_mm, "gates": self.study.gates.len(),
+            "map_shapes": shapes, "base_at_last_slice": self.extents[0].towards_base() > 0.0,
             "sigma": edges.sigma, "low": edges.low, "high": edges.high,
             "mu": gvf::unit_mu(self.parameters.gvf.mu), "tolerance": self.parameters.gvf.tolerance,
             "level": self.parameters.mesh.level, "time_step_s": deform.time_step_s, "damping_percent": deform.damping_percent,
             "max_steps": deform.max_steps,
         })
+    }
+
+    /// The edge map that the flow of a surface of the first gate is solved on, as [`gvf::flow`] makes it: the window about the border.
+    fn map(&self, surface: Surface) -> Array3<f32> {
+        let border = self.borders.get(surface);
+        let shape = gvf::Window::around(border, &self.study.grid).grid.shape;
+        let extreme =
+            |axis: usize, pick: fn(usize, usize) -> usize| border.points.iter().map(|point| point.voxel[axis]).reduce(pick).unwrap();
+        // The margin is the same on both sides.
+        let voxels = [0, 1, 2].map(|axis| (extreme(axis, usize::min), extreme(axis, usize::max)));
+        let margins = [0, 1, 2].map(|axis| (shape[axis] - (voxels[axis].1 - voxels[axis].0 + 1)) / 2);
+        let mut map = Array3::zeros(shape);
+        for point in &border.points {
+            map[[0, 1, 2].map(|axis| point.voxel[axis] - voxels[axis].0 + margins[axis])] = 1.0;
+        }
+        map
     }
 
     /// The gradient vector flow of both surfaces of the first gate.

@@ -9,8 +9,10 @@ mod judge;
 #[path = "../measure/mod.rs"]
 mod measure;
 
+use glam::DVec3;
 use judge::{Committed, complaints};
 use measure::{heart, target};
+use ndarray::Array3;
 use rayon::ThreadPoolBuilder;
 use std::{
     collections::BTreeMap,
@@ -20,15 +22,17 @@ use std::{
 };
 use ventricle::{
     intake::{self, Limits, Options, Part},
-    phantom::dicom,
+    phantom::{Imaging, dicom},
     pipeline::{
-        self, Surface, borders, canny, gvf,
+        self,
+        borders::{Border, BorderPoint},
+        gvf,
         monitor::Silent,
         parameters::Parameters,
-        region,
         simd::{self, Level},
     },
     study::Study,
+    volume::{Grid, VoxelSet},
 };
 
 /// How far a count may drift before it is told: another libc chooses other instructions for the same work.
@@ -38,24 +42,39 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = env::args().skip(1).filter(|argument| argument != "--bench").collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["work", name, study] => work(name, Path::new(study)),
-        ["update"] => measured().map_or(ExitCode::FAILURE, |counts| update(counts)),
+        ["update"] => measured().map_or(ExitCode::FAILURE, update),
         _ => measured().map_or(ExitCode::FAILURE, |counts| compare(&counts)),
     }
 }
 
+type Workload = fn(&Study);
+
 /// What is counted. The first does nothing but read the study.
-const WORKLOADS: [(&str, fn(&Study)); 4] =
+const WORKLOADS: [(&str, Workload); 4] =
     [("nothing", |_| ()), ("gradient vector flow", flow), ("preset paper", paper), ("preset clinical", clinical)];
 
-/// The gradient vector flow of both surfaces of the first gate, with the borders that it needs.
-fn flow(study: &Study) {
-    let parameters = Parameters::paper();
-    let extents = region::locate(study, &parameters.region).unwrap().extents(study);
-    let gradient = canny::gradient(&study.gates[0].volume, &extents[0].known, &parameters.edges);
-    let borders = borders::borders(&gradient, &extents[0], &parameters).found;
-    for surface in Surface::BOTH {
-        gvf::flow(&study.grid, borders.get(surface), &parameters.gvf, &Silent).unwrap();
+/// The gradient vector flow of two ellipsoids, about the surfaces of a ventricle, on the paper's grid.
+fn flow(_: &Study) {
+    let (grid, parameters) = (Imaging::PAPER_GRID, Parameters::paper().gvf);
+    for half_axes in [DVec3::new(22.0, 22.0, 38.0), DVec3::new(33.0, 33.0, 48.0)] {
+        gvf::flow(&grid, &shell(&grid, half_axes), &parameters, &Silent).unwrap();
     }
+}
+
+/// The voxels that the surface of an ellipsoid in the middle of a grid runs through.
+fn shell(grid: &Grid, half_axes: DVec3) -> Border {
+    let centre = grid.position_mm(grid.shape.map(|voxels| voxels / 2));
+    let thickness = grid.smallest_spacing_mm() / half_axes.min_element() / 2.0;
+    let points = VoxelSet { member: Array3::from_elem(grid.shape, true) }
+        .voxels()
+        .filter_map(|voxel| {
+            let position_mm = grid.position_mm(voxel);
+            let from_centre = (position_mm - centre) / half_axes;
+            let normal = (from_centre / half_axes).normalize_or(DVec3::Z);
+            ((from_centre.length() - 1.0).abs() <= thickness).then_some(BorderPoint { voxel, position_mm, normal })
+        })
+        .collect();
+    Border { points }
 }
 
 fn paper(study: &Study) {
@@ -142,7 +161,9 @@ fn compare(counts: &BTreeMap<String, u64>) -> ExitCode {
     print(counts);
     let committed: Committed = serde_json::from_slice(&fs::read(committed()).unwrap()).unwrap();
     let complaints = complaints(&committed, counts);
-    complaints.iter().for_each(|complaint| eprintln!("{complaint}"));
+    for complaint in &complaints {
+        eprintln!("{complaint}");
+    }
     if complaints.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 

@@ -197,7 +197,7 @@ def laplacian(shape, weights):
     return sum(sparse.kron(sparse.kron(a, b), c) for a, b, c in parts).tocsr()
 
 
-def scipy_cg(problem, tolerance, minus_laplace):
+def scipy_cg(problem, minus_laplace, tolerance):
     """scipy's conjugate gradients in f32 on the matrix scaled by its diagonal from both sides, whose plain norm is the weighted one."""
     root = np.sqrt(problem.diagonal).ravel()
     scaling = sparse.diags((1 / root).astype(np.float32))
@@ -215,7 +215,7 @@ def scipy_cg(problem, tolerance, minus_laplace):
     return field, iterations
 
 
-def pyamg_cg(problem, tolerance, minus_laplace):
+def pyamg_cg(problem, minus_laplace, tolerance):
     """Conjugate gradients preconditioned by algebraic multigrid (Ruge-Stueben of pyamg), on the scaled matrix, set up once for three solves."""
     root = np.sqrt(problem.diagonal.astype(np.float64)).ravel()
     scaling = sparse.diags(1 / root)

@@ -1,8 +1,8 @@
-"""The preset `paper` in Python: edges, borders, gradient vector flow, deformable meshes, wall and measures of every gate.
+"""The preset `paper` in Python: place, edges, borders, gradient vector flow, deformable meshes, wall and measures of every gate.
 
-Arrays where numpy and scipy have a function, numba where a loop is shorter or faster. The ventricle's place (axis, ends, filtering circle) is
-given and costs nothing here. Left out: what tells gaps from found border, the rest of particles that never freeze (none is left on the
-phantom), the repair of inverted tetrahedra (they are counted).
+Arrays where numpy and scipy have a function, numba where a loop is shorter or faster. `by_libraries` takes scikit-image's Canny operator and
+scipy's conjugate gradients in place of numba's loops. Left out, which is kind: what tells gaps from found border, the rest of particles
+that never freeze (none is left on the phantom), the repair of inverted tetrahedra (they are counted).
 """
 
 import math
@@ -12,8 +12,10 @@ import numpy as np
 from numba import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
+from skimage import feature
 
 import field
+import place
 
 SECTORS = 36
 BAND_OF_RADIUS, BAND_PIXELS = 0.3, 2.0
@@ -108,6 +110,22 @@ def thin(length, gx, gy, inside, dx, dy, dz):
                 strength[count] = here
                 count += 1
     return voxels[:count].copy(), places[:count].copy(), uphill[:count].copy(), strength[:count].copy()
+
+
+def thin_by_libraries(counts, sigma, length, gx, gy, inside, dx, dy, dz):
+    """The same with the maxima that scikit-image's Canny operator finds in each slice."""
+    maxima = np.stack([feature.canny(of, sigma, 0, 0) for of in counts]) & inside & (length > 0)
+    voxels = np.argwhere(maxima)
+    here = length[maxima]
+    uphill = np.column_stack([gx[maxima], gy[maxima]]) / here[:, None]
+    step = 1 / np.maximum(np.abs(uphill[:, 0]) / dx, np.abs(uphill[:, 1]) / dy)
+    way = np.column_stack([np.zeros(len(here)), uphill[:, 1] * step / dy, uphill[:, 0] * step / dx])
+    before, after = (ndimage.map_coordinates(length, (voxels + sign * way).T, order=1, mode="nearest") for sign in (-1, 1))
+    bend = before - 2 * here + after
+    offset = np.where(bend < 0, np.clip(0.5 * (before - after) / np.where(bend < 0, bend, 1), -0.5, 0.5), 0)
+    places = voxels[:, ::-1] * (dx, dy, dz)
+    places[:, :2] += uphill * (offset * step)[:, None]
+    return voxels, places, uphill.astype(np.float64), here.astype(np.float64)
 
 
 SAME_SLICE = np.array([np.zeros((3, 3)), np.ones((3, 3)), np.zeros((3, 3))])
@@ -392,9 +410,10 @@ class Topology:
 
 
 @njit(cache=True)
-def direction(fx, fy, fz, x, y, z):
-    """The field's direction at a place in voxels of its window, by linear interpolation."""
+def direction(fx, fy, fz, origin, step, place):
+    """The field's direction at a place, by linear interpolation in its window."""
     nz, ny, nx = fx.shape
+    x, y, z = (place[0] - origin[0]) / step[0], (place[1] - origin[1]) / step[1], (place[2] - origin[2]) / step[2]
     x, y, z = min(max(x, 0.0), nx - 1.0), min(max(y, 0.0), ny - 1.0), min(max(z, 0.0), nz - 1.0)
     i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
     u, v, w = x - i, y - j, z - k
@@ -436,7 +455,7 @@ def evolve(positions, fx, fy, fz, origin, step, cells, places, normals, joined, 
     left, steps = count, 0
     k_x, k_v = np.empty((4, 3)), np.empty((4, 3))
     nodes = (0.0, h / 2, h / 2, h)
-    at_place, at_speed = np.empty(3), np.empty(3)
+    at_place, at_speed, way, speed = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     while left > 0 and steps < most_steps:
         steps += 1
         for p in range(count):
@@ -446,39 +465,47 @@ def evolve(positions, fx, fy, fz, origin, step, cells, places, normals, joined, 
                 for a in range(3):
                     at_place[a] = positions[p, a] + (nodes[stage] * k_x[stage - 1, a] if stage > 0 else 0.0)
                     at_speed[a] = velocities[p, a] + (nodes[stage] * k_v[stage - 1, a] if stage > 0 else 0.0)
-                d = direction(fx, fy, fz, *((at_place - origin) / step))
+                d = direction(fx, fy, fz, origin, step, at_place)
                 for a in range(3):
                     k_x[stage, a] = at_speed[a]
                     k_v[stage, a] = d[a] * FIELD_FORCE - drag * at_speed[a]
-            way = h / 6 * (k_x[0] + 2 * (k_x[1] + k_x[2]) + k_x[3])
-            speed = velocities[p] + h / 6 * (k_v[0] + 2 * (k_v[1] + k_v[2]) + k_v[3])
-            way *= min(1.0, longest / max(math.sqrt(np.sum(way * way)), 1e-300))
-            speed *= min(1.0, longest / h / max(math.sqrt(np.sum(speed * speed)), 1e-300))
-            positions[p] += way
-            velocities[p] = speed
+            square_x = square_v = 0.0
+            for a in range(3):
+                way[a] = h / 6 * (k_x[0, a] + 2 * (k_x[1, a] + k_x[2, a]) + k_x[3, a])
+                speed[a] = velocities[p, a] + h / 6 * (k_v[0, a] + 2 * (k_v[1, a] + k_v[2, a]) + k_v[3, a])
+                square_x += way[a] * way[a]
+                square_v += speed[a] * speed[a]
+            shorter, slower = min(1.0, longest / max(math.sqrt(square_x), 1e-300)), min(1.0, longest / h / max(math.sqrt(square_v), 1e-300))
+            for a in range(3):
+                positions[p, a] += way[a] * shorter
+                velocities[p, a] = speed[a] * slower
             # Has it reached the border? Particles may leave the grid by its first and last slice.
-            index = positions[p] / step
-            x, y, z = int(math.floor(index[0] + 0.5)), int(math.floor(index[1] + 0.5)), int(math.floor(index[2] + 0.5))
-            if -1 <= index[2] <= shape[0]:
+            height = positions[p, 2] / step[2]
+            x, y, z = int(math.floor(positions[p, 0] / step[0] + 0.5)), int(math.floor(positions[p, 1] / step[1] + 0.5)), int(math.floor(height + 0.5))
+            if -1 <= height <= shape[0]:
                 z = min(max(z, 0), shape[0] - 1)
             if x < 0 or y < 0 or z < 0 or z >= shape[0] or y >= shape[1] or x >= shape[2]:
                 continue
             point = cells[z, y, x]
             if point == -1:
-                d = direction(fx, fy, fz, *((positions[p] - origin) / step))
+                d = direction(fx, fy, fz, origin, step, positions[p])
                 if d[0] * speed[0] + d[1] * speed[1] + d[2] * speed[2] < 0:
                     nearest = math.inf
                     for c in range(max(z - 1, 0), min(z + 2, shape[0])):
                         for b in range(max(y - 1, 0), min(y + 2, shape[1])):
                             for a in range(max(x - 1, 0), min(x + 2, shape[2])):
                                 if cells[c, b, a] >= 0:
-                                    off = places[cells[c, b, a]] - positions[p]
-                                    square = np.sum(off * off)
+                                    square = 0.0
+                                    for k in range(3):
+                                        square += (places[cells[c, b, a], k] - positions[p, k]) ** 2
                                     if square < nearest:
                                         nearest, point = square, cells[c, b, a]
             if point >= 0:
-                normal = normals[point]
-                positions[p] += normal * np.sum((places[point] - positions[p]) * normal)
+                off = 0.0
+                for k in range(3):
+                    off += (places[point, k] - positions[p, k]) * normals[point, k]
+                for k in range(3):
+                    positions[p, k] += off * normals[point, k]
                 frozen[p] = True
                 left -= 1
         if steps % 4 == 0:
@@ -514,17 +541,19 @@ def within_one_voxel(positions, found, spacing_mm):
 # The whole.
 
 
-def reconstruct(gates, told, topology):
+def reconstruct(gates, told, topology, by_libraries=False):
     """Volumes of both surfaces of every gate, and the seconds of each stage."""
     spacing_mm, shape = told["spacing_mm"], tuple(told["shape"])
     dz, dy, dx = spacing_mm
     step = np.array(spacing_mm[::-1])
     z, y, x = np.meshgrid(*(np.arange(length) for length in shape), indexing="ij", sparse=True)
     clock = Clock()
-    volumes, within, frozen, residual, tetrahedra = [[], []], [], [], 0.0, 0
-    for counts, place in zip(gates, told["extents"]):
+    volumes, within, frozen, tetrahedra = [[], []], [], [], 0
+    clock.begin("region")
+    extents = place.locate(gates, spacing_mm, told["base_at_last_slice"])
+    for counts, found in zip(gates, extents):
         clock.begin("edges")
-        extent = Extent(place, spacing_mm)
+        extent = Extent(found, spacing_mm)
         gx, gy, length = gradient(counts, spacing_mm, told["sigma"])
         clock.begin("borders")
         low, high = sorted([extent.base_mm, extent.apex_mm[1]])
@@ -532,7 +561,10 @@ def reconstruct(gates, told, topology):
         radius = np.hypot(out_x, out_y)
         useful = (z * dz >= low - 1e-9) & (z * dz <= high + 1e-9) & (radius <= extent.radius_mm)
         rise = gx * out_x + gy * out_y
-        points = Edges(*thin(length, gx, gy, useful, dx, dy, dz))
+        if by_libraries:
+            points = Edges(*thin_by_libraries(counts, told["sigma"], length, gx, gy, useful, dx, dy, dz))
+        else:
+            points = Edges(*thin(length, gx, gy, useful, dx, dy, dz))
         of_points = tuple(points.voxels.T)
         falls, rises = rise[of_points] < 0, rise[of_points] > 0
         outer = rings(hysteresis(points[falls], shape, told["low"], told["high"]), extent, spacing_mm, shape[0])
@@ -544,7 +576,10 @@ def reconstruct(gates, told, topology):
             clock.begin("gradient_vector_flow")
             window = Window(found, spacing_mm)
             problem = field.Problem(window.edges, spacing_mm, told["mu"])
-            flow, _ = field.numba_cg(problem, told["tolerance"])
+            if by_libraries:
+                flow, _ = field.scipy_cg(problem, field.laplacian(window.shape, problem.weights), told["tolerance"])
+            else:
+                flow, _ = field.numba_cg(problem, told["tolerance"])
             clock.begin("deformation")
             ends = found.places.min(axis=0), found.places.max(axis=0)
             positions = (ends[0] + ends[1]) / 2 + topology.unit * (ends[1] - ends[0]) / 2
