@@ -31,7 +31,7 @@ use ventricle::{
     study::Study,
 };
 
-/// How often a whole cycle runs.
+/// How often a whole cycle runs, unless `--test` asks for no more than that everything runs (`cargo bench --bench stages -- --test`).
 const ROUNDS: usize = 5;
 /// Rows of the table of cost: `[z, y, x]` and gates.
 const SIZES: [([usize; 3], usize); 4] = [([12, 32, 32], 8), ([24, 64, 64], 8), ([32, 64, 64], 16), ([48, 128, 128], 16)];
@@ -39,11 +39,13 @@ const SIZES: [([usize; 3], usize); 4] = [([12, 32, 32], 8), ([24, 64, 64], 8), (
 const SIZE_ROUNDS: usize = 3;
 
 fn main() {
+    let only_tests = std::env::args().any(|argument| argument == "--test");
+    let (rounds, size_rounds) = if only_tests { (1, 1) } else { (ROUNDS, SIZE_ROUNDS) };
     let mut criterion = Criterion::default()
         .with_measurement(ProcessorTime(WallTime))
         .warm_up_time(Duration::from_millis(500))
         .measurement_time(Duration::from_secs(2))
-        .sample_size(20)
+        .sample_size(10)
         .without_plots()
         .output_directory(&target().join("criterion"))
         .configure_from_args();
@@ -56,8 +58,8 @@ fn main() {
     let found = json!({
         "machine": machine(),
         "alone": estimates(&target().join("criterion/stages")),
-        "cycles": cycles(&one, &all, eight_gates),
-        "sizes": sizes(&one),
+        "cycles": cycles(&one, &all, eight_gates, rounds),
+        "sizes": sizes(&one, size_rounds),
     });
     let folder = target().join("bench");
     fs::create_dir_all(&folder).unwrap();
@@ -134,7 +136,7 @@ fn alone(criterion: &mut Criterion<ProcessorTime>, study: &Study) {
 /// Medians and their 95 % intervals in seconds, by the name of the function, as criterion has written them.
 fn estimates(folder: &Path) -> Value {
     let mut found = Map::new();
-    for entry in fs::read_dir(folder).unwrap() {
+    for entry in fs::read_dir(folder).into_iter().flatten() {
         let folder = entry.unwrap().path().join("new");
         let read = |name: &str| -> Option<Value> { serde_json::from_slice(&fs::read(folder.join(name)).ok()?).ok() };
         let (Some(about), Some(estimates)) = (read("benchmark.json"), read("estimates.json")) else { continue };
@@ -149,13 +151,13 @@ fn estimates(folder: &Path) -> Value {
 }
 
 /// Both presets on two studies, in turns; on one thread with the time of each stage.
-fn cycles(one: &ThreadPool, all: &ThreadPool, eight_gates: Study) -> Vec<Value> {
+fn cycles(one: &ThreadPool, all: &ThreadPool, eight_gates: Study, rounds: usize) -> Vec<Value> {
     let studies = [eight_gates, heart([32, 64, 64], 16)];
     let presets = [Parameters::clinical(), Parameters::paper()];
     let runs: Vec<(&Study, &Parameters)> = studies.iter().flat_map(|study| presets.iter().map(move |preset| (study, preset))).collect();
     let mut measured: Vec<Cycle> = runs.iter().map(|_| Cycle::default()).collect();
-    for round in 1..=ROUNDS {
-        eprintln!("whole cycles, round {round} of {ROUNDS}");
+    for round in 1..=rounds {
+        eprintln!("whole cycles, round {round} of {rounds}");
         for ((study, parameters), cycle) in runs.iter().zip(&mut measured) {
             let watch = Watch::default();
             let (took, _) = one.install(|| timed(|| pipeline::reconstruct(study, parameters, &watch).unwrap()));
@@ -184,7 +186,7 @@ impl Cycle {
         let stages: Vec<Value> =
             self.stages[0].iter().enumerate().map(|(place, (name, _))| json!({ "stage": name, "processor_s": stage(place) })).collect();
         json!({
-            "preset": preset(parameters), "shape": study.grid.shape, "gates": study.gates.len(), "rounds": ROUNDS,
+            "preset": preset(parameters), "shape": study.grid.shape, "gates": study.gates.len(), "rounds": self.processor_s.len(),
             "processor_s": median(self.processor_s), "clock_s": median(self.clock_s), "stages": stages,
             "all_threads": threads, "all_threads_clock_s": median(self.all_threads_clock_s),
         })
@@ -199,12 +201,12 @@ fn preset(parameters: &Parameters) -> &'static str {
 }
 
 /// The preset `clinical` on the same heart in voxels of four sizes, and the exponent of its cost.
-fn sizes(one: &ThreadPool) -> Value {
+fn sizes(one: &ThreadPool, rounds: usize) -> Value {
     let parameters = Parameters::clinical();
     let studies: Vec<Study> = SIZES.iter().map(|&(shape, gates)| heart(shape, gates)).collect();
     let mut seconds = vec![Vec::new(); studies.len()];
-    for round in 1..=SIZE_ROUNDS {
-        eprintln!("four sizes, round {round} of {SIZE_ROUNDS}");
+    for round in 1..=rounds {
+        eprintln!("four sizes, round {round} of {rounds}");
         for (study, seconds) in studies.iter().zip(&mut seconds) {
             let (took, _) = one.install(|| timed(|| pipeline::reconstruct(study, &parameters, &Silent).unwrap()));
             seconds.push(took.processor.as_secs_f64());
