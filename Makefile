@@ -3,13 +3,13 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build web test chaos bench-queue bench-http bench-scaling fuzz lint openapi tables accuracy
+.PHONY: help demo build web test chaos bench bench-peers bench-http bench-queue bench-scaling guard guard-update fuzz lint openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
 
 help: ## lists the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: build ## starts the service, posts a beating phantom as DICOM, shows the result (ONCE=1: then exits)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" demo $(if $(ONCE),--once)
@@ -38,6 +38,20 @@ web/package.json web/package-lock.json:
 test: ## installs what the tests need on Debian, then runs all of them
 	@tests/tools/prepare.sh
 	@tests/tools/run.sh
+	@tests/tools/guard.sh
+
+guard: ## counts the instructions of a small workload under valgrind and compares them with benches/instructions.json
+	@tests/tools/guard.sh
+
+guard-update: ## counts them and writes benches/instructions.json, to be committed
+	@tests/tools/guard.sh update
+
+bench: ## measures each stage and whole cycles, and how their cost grows (some five minutes)
+	cargo bench --locked --bench stages
+
+bench-peers: ## measures beside ITK, SimpleITK, scikit-image, scipy, numba and pyamg, installed from PyPI under target/ (some five minutes)
+	@benches/peers/prepare.sh
+	cargo bench --locked --bench peers
 
 # As long as a person likes; the tests of CI do the same with fewer. On PostgreSQL a kill is a round: a node killed, one paused beyond its
 # lease, one replaced, the listeners cut off and the database crashed.

@@ -13,6 +13,7 @@ mod dicomweb;
 mod dimse;
 mod encapsulated;
 mod fuzz;
+mod guard;
 mod hostile;
 mod http;
 mod imports;
