@@ -9,7 +9,7 @@
 //! `cargo bench --bench scaling -- --service-s 1.2 --speedup 1.4 --accepted 46 --carried 300` takes other figures than the measured ones.
 #![allow(clippy::unwrap_used, clippy::print_stderr, missing_docs)]
 
-use rand::{Rng as _, SeedableRng as _};
+use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 use std::{collections::VecDeque, env, fs, path::PathBuf};
