@@ -98,7 +98,7 @@ impl<'a> Slice<'a> {
     fn new(grid: &'a Grid, values: &'a Array3<f32>, number: usize) -> Self {
         let z_mm = number as f64 * grid.spacing_mm[0];
         let voxels = grid.shape[1] * grid.shape[2];
-        let exact = z_mm / grid.spacing_mm[0] == number as f64;
+        let exact = (z_mm / grid.spacing_mm[0]).total_cmp(&(number as f64)).is_eq();
         let flat = values.as_slice().filter(|_| exact).and_then(|flat| flat.get(number * voxels..(number + 1) * voxels));
         Self { grid, values, z_mm, flat }
     }
@@ -137,7 +137,7 @@ pub(super) fn best_centre(grid: &Grid, smooth: &Array3<f32>, known: &VoxelSet) -
         let centre = grid.position_mm([0, y, x]).truncate();
         let score: f64 = slices.iter().map(|slice| ring_at(&circles, slice, centre).contrast.max(0.0)).sum();
         // Of equal ones the first in the order of rows.
-        if score > 0.0 && best.is_none_or(|(most, at)| score > most || (score == most && column < at)) {
+        if score > 0.0 && best.is_none_or(|(most, at)| score.total_cmp(&most).then(at.cmp(&column)).is_gt()) {
             best = Some((score, column));
         }
     }

@@ -5,7 +5,7 @@ use super::{PipelineError, Solution, contiguous, couplings, gradient, monitor, m
 use crate::{pipeline::simd::vectorised, volume::Grid};
 use ndarray::Array3;
 
-/// The time step, as part of the largest that is stable, 2 / (b_max + 4 Σ μ/h²).
+/// The time step, as part of the largest that is stable, 2 / (max b + 4 Σ μ/h²).
 const OF_STABLE: f64 = 0.98;
 /// Steps from one look at the residual to the next.
 const LOOK: usize = 50;
@@ -31,7 +31,10 @@ pub fn run(grid: &Grid, map: &Array3<f32>, mu: f64, tolerance: f64, most: usize,
         let mut now = lanes.padded(contiguous(component));
         let mut next = now.clone();
         let mut steps = 0;
-        while scale > 0.0 {
+        loop {
+            if scale <= 0.0 {
+                break;
+            }
             if steps % LOOK == 0 || steps == most {
                 monitor::check(monitor)?;
                 advance(&lanes, &now, &keep, &source, &mut next);

@@ -4,6 +4,8 @@
 //! from the other. A row holds every second voxel of a colour, so it is contiguous, and rows are padded with zeros to whole vectors:
 //! faces of the lattice need no case of their own, since a neighbour that is not there is a zero.
 
+#![expect(clippy::inline_always, reason = "what vectorised loops call is compiled for their instructions only inside of them")]
+
 use crate::pipeline::simd::vectorised;
 
 /// Numbers that are worked on at once.

@@ -187,7 +187,9 @@ fn a_map_without_an_edge_has_no_field() {
 fn explicit_steps_tend_to_the_solved_field() {
     let grid = Grid { shape: [8, 15, 14], spacing_mm: [5.74, 2.87, 2.87] };
     let map = shell(&grid);
-    let (mu, found) = (unit_mu(10.0), solved(&grid, &map, 1e-6));
+    // Steps are many hundred times fewer where diffusion is as strong as the edges are.
+    let mu = unit_mu(10_000.0);
+    let found = solve(&grid, &map, mu, 1e-6, &mut Workspace::default(), &Silent).unwrap();
     let away = |steps: usize| {
         let stepped = explicit::run(&grid, &map, mu, 0.0, steps, &Silent).unwrap();
         assert_eq!(stepped.iterations, [steps; 3]);
@@ -200,7 +202,7 @@ fn explicit_steps_tend_to_the_solved_field() {
         let whole: f64 = found.field.components.iter().map(|v| squares(v, &Array3::zeros(grid.shape))).sum();
         (pairs().map(|(a, b)| squares(a, b)).sum::<f64>() / whole).sqrt()
     };
-    let distances = [100, 1000, 10_000, 40_000].map(away);
+    let distances = [20, 100, 500, 3000].map(away);
     assert!(distances.is_sorted_by(|a, b| a > b) && distances[3] < 1e-3, "{distances:?}");
 }
 
@@ -227,7 +229,7 @@ fn the_same_bits_at_every_level_of_instructions_and_after_any_other_problem() {
         assert_eq!(stepped(level), stepped(Level::Avx512));
     }
     use_at_most(Level::Avx512);
-    assert!(workspace.bytes() < 64 * 20 * 40 * 50, "{}", workspace.bytes());
+    assert!(workspace.bytes() < 80 * 20 * 40 * 50, "{}", workspace.bytes());
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! Between a lattice and the coarser one below it: linear interpolation between the coarse voxels' centres, and its transpose.
 
+#![expect(clippy::inline_always, reason = "what vectorised loops call is compiled for their instructions only inside of them")]
+
 use super::lattice::{Board, Lattice};
 use crate::pipeline::simd::vectorised;
 
@@ -17,7 +19,7 @@ fn sources(fine: usize, halved: bool, coarse_length: usize) -> [(usize, f32); 2]
         return [(fine, 1.0), (fine, 0.0)];
     }
     let near = fine / 2;
-    let far = if fine % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(coarse_length - 1) };
+    let far = if fine.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(coarse_length - 1) };
     [(near, NEAR), (far, FAR)]
 }
 
@@ -66,7 +68,7 @@ vectorised! {
                 let first = Lattice::parity(z, y, 0);
                 if halved[2] {
                     // At the ends the nearest counts for what lies beyond.
-                    let (before, after) = (FAR * even[1], if fine.shape[2] % 2 == 0 { FAR * odd[half] } else { 0.0 });
+                    let (before, after) = (FAR * even[1], if fine.shape[2].is_multiple_of(2) { FAR * odd[half] } else { 0.0 });
                     for i in 1..=half {
                         // In place: what is read of `odd` is one behind what is written.
                         even[i] = NEAR * (even[i] + odd[i]) + FAR * (even[i + 1] + odd[i - 1]);
