@@ -86,6 +86,7 @@ impl Peer {
         match words {
             ["export", folder] => self.export(Path::new(folder)),
             ["gvf"] => self.flow(),
+            ["explicit", steps] => self.explicit(steps.parse().unwrap()),
             ["paper"] => self.paper(),
             ["gradient"] => self.edges(EdgeMode::Volume, false),
             ["canny", "slice"] => self.edges(EdgeMode::Slice, true),
@@ -116,30 +117,38 @@ impl Peer {
         })
     }
 
-    /// The edge map that the flow of a surface of the first gate is solved on, as [`gvf::flow`] makes it: the window about the border.
+    /// The edge map of a surface of the first gate, on the whole grid: 1 on the border's voxels, 0 elsewhere.
     fn map(&self, surface: Surface) -> Array3<f32> {
-        let border = self.borders.get(surface);
-        let shape = gvf::Window::around(border, &self.study.grid).grid.shape;
-        let extreme =
-            |axis: usize, pick: fn(usize, usize) -> usize| border.points.iter().map(|point| point.voxel[axis]).reduce(pick).unwrap();
-        // The margin is the same on both sides.
-        let voxels = [0, 1, 2].map(|axis| (extreme(axis, usize::min), extreme(axis, usize::max)));
-        let margins = [0, 1, 2].map(|axis| (shape[axis] - (voxels[axis].1 - voxels[axis].0 + 1)) / 2);
-        let mut map = Array3::zeros(shape);
-        for point in &border.points {
-            map[[0, 1, 2].map(|axis| point.voxel[axis] - voxels[axis].0 + margins[axis])] = 1.0;
+        let mut map = Array3::zeros(self.study.grid.shape);
+        for point in &self.borders.get(surface).points {
+            map[point.voxel] = 1.0;
         }
         map
     }
 
-    /// The gradient vector flow of both surfaces of the first gate.
+    /// The gradient vector flow of both surfaces of the first gate on the whole grid, in memory that is kept as by a worker.
     fn flow(&self) -> Value {
-        let (took, flows) = timed(|| {
-            Surface::BOTH.map(|surface| gvf::flow(&self.study.grid, self.borders.get(surface), &self.parameters.gvf, &Silent).unwrap())
-        });
+        let gvf = &self.parameters.gvf;
+        let maps = Surface::BOTH.map(|surface| self.map(surface));
+        let mut workspace = gvf::Workspace::default();
+        let mut solve = || {
+            let mut solve = |map| gvf::solve(&self.study.grid, map, gvf::unit_mu(gvf.mu), gvf.tolerance, &mut workspace, &Silent).unwrap();
+            maps.each_ref().map(&mut solve)
+        };
+        solve();
+        let (took, flows) = timed(solve);
         let residual = flows.iter().flat_map(|flow| flow.residual).fold(0.0, f64::max);
         let iterations: Vec<_> = flows.iter().map(|flow| flow.iterations).collect();
         with(took, json!({ "residual": residual, "iterations": iterations }))
+    }
+
+    /// So many steps of the paper's explicit scheme for both surfaces.
+    fn explicit(&self, steps: usize) -> Value {
+        let maps = Surface::BOTH.map(|surface| self.map(surface));
+        let run = |map| gvf::explicit::run(&self.study.grid, map, gvf::unit_mu(self.parameters.gvf.mu), 0.0, steps, &Silent).unwrap();
+        let (took, flows) = timed(|| maps.each_ref().map(run));
+        let made = flows.iter().flat_map(|flow| flow.iterations).min();
+        with(took, json!({ "steps": made }))
     }
 
     /// The whole preset `paper`.

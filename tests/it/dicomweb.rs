@@ -278,7 +278,9 @@ fn bodies_are_taken_as_clients_send_them_and_bounded() {
     assert_eq!(refused("multipart/related; boundary=x", &before).0, 400);
     assert!(service.peak_mib() < 200.0, "{}", service.peak_mib());
     assert_eq!(service.get("/dicom-web/studies").status, 405);
-    assert_eq!(store_at(&service, "/dicom-web/studies/no-uid", &[&good]).status, 404);
+    // Who sends much to nowhere may find the connection closed before the answer is read.
+    let nowhere = |path: &str| service.post_to(path, "multipart/related; type=\"application/dicom\"; boundary=x", b"--x--").status;
+    assert_eq!(nowhere("/dicom-web/studies/no-uid"), 404);
     let xml = service.post_accepting("/dicom-web/studies", "application/dicom", &good, "application/dicom+xml");
     assert_eq!((xml.status, xml.json()["code"].as_str().unwrap()), (406, "not_acceptable"));
     assert_eq!(service.post_accepting("/dicom-web/studies", "application/dicom", &good, "*/*").status, 200);
@@ -289,7 +291,7 @@ fn bodies_are_taken_as_clients_send_them_and_bounded() {
         assert_eq!((answer.status, instances(&answer, "00081199").len()), (200, 1), "{path}");
     }
     assert_eq!(reasons(&store_at(&service, "/dicom-web/studies/1.2.3/", &[&good]), "00081198"), [0xA900]);
-    assert_eq!((service.get("/dicom-web/studies/").status, store_at(&service, "/dicom-web/studies//", &[&good]).status), (405, 404));
+    assert_eq!((service.get("/dicom-web/studies/").status, nowhere("/dicom-web/studies//")), (405, 404));
     assert_eq!(service.get("/v1/reconstructions").json()["reconstructions"].as_array().unwrap().len(), 1);
 }
 

@@ -17,7 +17,8 @@ fn study() -> Vec<u8> {
 fn accepted_jobs_all_finish_though_the_service_is_killed_twice() {
     let data = Directory::new("restart");
     let body = study();
-    let mut service = Served::start(&data.0, &["--threads-per-worker", "1"]);
+    let one_worker = ["--workers", "1", "--threads-per-worker", "1"];
+    let mut service = Served::start(&data.0, &one_worker);
     let mut accepted = BTreeSet::new();
     // The first kill comes while the first jobs run and others wait, the second while what was lost is worked on again.
     for pause_ms in [700, 1300] {
@@ -28,7 +29,7 @@ fn accepted_jobs_all_finish_though_the_service_is_killed_twice() {
         }
         std::thread::sleep(Duration::from_millis(pause_ms));
         service.kill();
-        service = Served::start(&data.0, &["--threads-per-worker", "1"]);
+        service = Served::start(&data.0, &one_worker);
     }
     let mut attempts = 0;
     let mut reports = BTreeSet::new();

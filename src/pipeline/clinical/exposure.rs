@@ -8,7 +8,8 @@
 
 use super::{
     basis::{Angle, HARMONICS, MAP_HARMONICS, MAP_WHOLE, SPLINES, Spot},
-    camera::{Camera, Derived, Film, LANES, LIT, with_box},
+    camera::{Camera, with_box},
+    film::{Derived, Film, LANES, LIT},
     quadrature::gauss_legendre,
     shape::{LOCAL, SLOPE_AT_MM, STRIDE, Shape, Space, THICKNESS_HARMONICS},
 };
@@ -66,6 +67,7 @@ impl Crop {
 }
 
 /// Nodes and what they carry.
+#[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     pub(super) space: &'a Space,
     pub(super) shape: &'a Shape,
@@ -205,9 +207,8 @@ impl Scene<'_> {
     }
 
     fn wall(&self, camera: &mut Camera<'_>, point_mm: DVec3, spot: &Spot, uptake: f64, volume: f64) {
-        let excess = ((self.activity.wall * uptake - self.activity.background) * volume) as f32;
         if !camera.derives() {
-            return camera.excess(point_mm, excess);
+            return camera.excess(point_mm, ((self.activity.wall * uptake - self.activity.background) * volume) as f32);
         }
         let mut carried = [0.0_f32; LANES];
         carried[0] = volume as f32;
@@ -218,7 +219,7 @@ impl Scene<'_> {
             }
         }
         carried[LIT] = (uptake * volume) as f32;
-        camera.wall(point_mm, &carried, excess);
+        camera.wall(point_mm, &carried);
     }
 
     fn cavity(&self, camera: &mut Camera<'_>, point_mm: DVec3, volume: f64) {

@@ -3,9 +3,9 @@
 
 use super::{
     basis::Spot,
-    camera::{Compared, Film, Films},
     counts::Counts,
     exposure::{Activity, Rules, Scene},
+    film::{Compared, Film, Films},
     priors::Priors,
     shape::{BASE, Shape, Volumes},
     step::{Moved, Step, accelerated},

@@ -5,6 +5,7 @@ mod basis;
 mod camera;
 mod counts;
 mod exposure;
+mod film;
 mod fit;
 mod frame;
 mod gram;

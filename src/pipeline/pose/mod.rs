@@ -9,6 +9,7 @@ mod judge;
 mod prepare;
 mod shape;
 mod shell_fit;
+mod shell_sums;
 mod shells;
 mod solve;
 mod templates;
