@@ -5,6 +5,7 @@ use crate::pipeline::{
     Reconstruction, Surface,
     thickness::{Thickness, ThicknessRange},
 };
+use rayon::prelude::*;
 
 /// What the wall does over the cycle, each value a vertex; `None` in the lid.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,7 +26,7 @@ impl Walls {
     /// Of a reconstruction with these ends of the cycle, gates counted from 0.
     pub(super) fn of(reconstruction: &Reconstruction, places: &Places, end_diastole: usize, end_systole: usize) -> Self {
         let in_wall = |vertex: usize| places.of_vertex[vertex].is_some();
-        let thickness: Vec<Thickness> = reconstruction.gates.iter().map(|gate| Thickness::of(gate, reconstruction.to_base)).collect();
+        let thickness: Vec<Thickness> = reconstruction.gates.par_iter().map(|gate| Thickness::of(gate, reconstruction.to_base)).collect();
         let thickness_range = thickness.iter().map(Thickness::range).collect();
         let thickness_mm: Vec<Vec<Option<f64>>> = thickness
             .iter()

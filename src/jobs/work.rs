@@ -8,6 +8,7 @@ use crate::{
     report::{self, PolarMaps, Slices, Summary, Timing},
     study::Study,
 };
+use rayon::prelude::*;
 use std::sync::Arc;
 use uuid::Uuid;
 
@@ -84,22 +85,32 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     let maps = serde_json::to_vec(&maps).map_err(|error| WorkError::Internal(format!("polar maps: {error}")))?;
     let slices = Slices::of(&id.to_string(), study, &reconstruction, &analysis);
     let slices = serde_json::to_vec(&slices).map_err(|error| WorkError::Internal(format!("slices: {error}")))?;
-    let mut outputs = vec![
-        Output { name: SUMMARY.to_owned(), media_type: "application/json", data: summary },
-        Output { name: SLICES.to_owned(), media_type: "application/json", data: slices },
-        Output { name: REPORT.to_owned(), media_type: "application/json", data: report },
-        Output { name: SURFACES.to_owned(), media_type: GLB, data: glb::cycle(study, &reconstruction, &analysis)? },
-        Output { name: POLAR_MAPS.to_owned(), media_type: "application/json", data: maps },
-    ];
-    for gate in 0..reconstruction.gates.len() {
+    // This takes as long as the preset `paper` itself: two surfaces and a wall of every gate.
+    let of_gate = |gate: usize| {
         if progress.is_cancelled() {
             return Err(WorkError::Cancelled);
         }
+        let mut outputs = Vec::with_capacity(3);
         for surface in Surface::BOTH {
             let data = glb::surface(study, &reconstruction, gate, surface)?;
             outputs.push(Output { name: surface_name(gate + 1, surface), media_type: GLB, data });
         }
         outputs.push(Output { name: wall_name(gate + 1), media_type: VTU, data: vtu::wall(study, &reconstruction, gate)? });
+        Ok(outputs)
+    };
+    let (cycle, gates) = rayon::join(
+        || glb::cycle(study, &reconstruction, &analysis),
+        || (0..reconstruction.gates.len()).into_par_iter().map(of_gate).collect::<Vec<_>>(),
+    );
+    let mut outputs = vec![
+        Output { name: SUMMARY.to_owned(), media_type: "application/json", data: summary },
+        Output { name: SLICES.to_owned(), media_type: "application/json", data: slices },
+        Output { name: REPORT.to_owned(), media_type: "application/json", data: report },
+        Output { name: SURFACES.to_owned(), media_type: GLB, data: cycle? },
+        Output { name: POLAR_MAPS.to_owned(), media_type: "application/json", data: maps },
+    ];
+    for of_gate in gates {
+        outputs.extend(of_gate?);
     }
     Ok(outputs)
 }
