@@ -1,6 +1,6 @@
 //! Loops compiled for several instruction sets, the best of which is chosen when the program runs: one binary for all machines.
 //!
-//! [`vectorised!`] declares a function whose body is compiled once for each [`Level`]. The compiler vectorises it; nothing is written by
+//! `vectorised!` declares a function whose body is compiled once for each [`Level`]. The compiler vectorises it; nothing is written by
 //! hand. Rust neither reorders floating-point sums nor contracts products and sums, so a body gives the same bits at every level; one that
 //! wants its sums vectorised has to add in lanes of its own.
 //!
