@@ -16,6 +16,7 @@ from skimage import feature
 
 import field
 import place
+from place import at
 
 SECTORS = 36
 BAND_OF_RADIUS, BAND_PIXELS = 0.3, 2.0
@@ -72,16 +73,6 @@ def gradient(counts, spacing_mm, sigma):
 
 
 @njit(cache=True)
-def at(image, y, x):
-    """Linear interpolation, the faces' values outside."""
-    rows, columns = image.shape
-    y, x = min(max(y, 0.0), rows - 1.0), min(max(x, 0.0), columns - 1.0)
-    j, i = min(int(y), rows - 2), min(int(x), columns - 2)
-    v, u = y - j, x - i
-    return (1 - v) * ((1 - u) * image[j, i] + u * image[j, i + 1]) + v * ((1 - u) * image[j + 1, i] + u * image[j + 1, i + 1])
-
-
-@njit(cache=True)
 def thin(length, gx, gy, inside, dx, dy, dz):
     """Local maxima of the gradient's length along the gradient: voxels, places to a part of a voxel, directions, lengths."""
     slices, rows, columns = length.shape
@@ -98,8 +89,8 @@ def thin(length, gx, gy, inside, dx, dy, dz):
                     continue
                 ux, uy = gx[z, y, x] / here, gy[z, y, x] / here
                 step = 1 / max(abs(ux) / dx, abs(uy) / dy)
-                before = at(length[z], y - step * uy / dy, x - step * ux / dx)
-                after = at(length[z], y + step * uy / dy, x + step * ux / dx)
+                before = at(length[z], x - step * ux / dx, y - step * uy / dy)
+                after = at(length[z], x + step * ux / dx, y + step * uy / dy)
                 if here < before or here <= after:
                     continue
                 bend = before - 2 * here + after
