@@ -18,35 +18,90 @@ pub struct PolarField<'a> {
     pub cyclic: bool,
 }
 
+/// Cells around a place, and their shares of it.
+type Around = [(usize, f64); 4];
+
+/// The four cells around a place on a disc of so many rings and sectors, counted ring by ring.
+fn around((rings, sectors): (usize, usize), radius: f64, degrees: f64) -> Around {
+    let ring = (radius * rings as f64 - 0.5).min(rings as f64 - 1.0);
+    // Within the first ring's middle the neighbour is the cell across the tip.
+    let (below, above, turned) = if ring < 0.0 { (0, 0, 180.0) } else { (ring as usize, (ring as usize + 1).min(rings - 1), 0.0) };
+    let part = ring - ring.floor();
+    let of_ring = |ring: usize, degrees: f64, part: f64| {
+        let sector = (degrees / 360.0).rem_euclid(1.0) * sectors as f64 - 0.5;
+        let (first, share) = (sector.floor(), sector - sector.floor());
+        let cell = |sector: f64| ring * sectors + (sector as i64).rem_euclid(sectors as i64) as usize;
+        [(cell(first), part * (1.0 - share)), (cell(first + 1.0), part * share)]
+    };
+    let ([a, b], [c, d]) = (of_ring(below, degrees + turned, 1.0 - part), of_ring(above, degrees, part));
+    [a, b, c, d]
+}
+
+/// Where a disc's cells lie in a square picture, to draw several quantities on.
+pub struct Disc {
+    pixels: usize,
+    cells: (usize, usize),
+    /// Offset of a pixel, and the cells around it.
+    places: Vec<(usize, Around)>,
+}
+
+impl Disc {
+    /// A disc of so many rings and sectors in the middle of a picture of so many pixels, with this radius in pixels.
+    pub fn new(cells: (usize, usize), pixels: usize, radius: f64) -> Self {
+        let middle = (pixels as f64 - 1.0) / 2.0;
+        let place = |offset: usize| {
+            let (right, up) = (((offset % pixels) as f64 - middle) / radius, (middle - (offset / pixels) as f64) / radius);
+            let distance = right.hypot(up);
+            // A little beyond the rim, which is drawn over.
+            let within = distance * radius <= radius + 1.0;
+            within.then(|| (offset, around(cells, distance.min(1.0), (-right).atan2(up).to_degrees())))
+        };
+        let places = if cells.0 * cells.1 == 0 { Vec::new() } else { (0..pixels * pixels).filter_map(place).collect() };
+        Self { pixels, cells, places }
+    }
+
+    /// A field of as many rings and sectors, `outside` beyond the disc.
+    pub fn picture(&self, field: &PolarField<'_>, outside: [f32; 3]) -> Picture {
+        debug_assert_eq!(self.cells, field.cells(), "a disc is of fields of its own size");
+        let cells: Vec<_> = field.values.iter().flatten().map(|&value| field.vector(value)).collect();
+        let colours = field.scale.levels();
+        let mut picture = Picture::of_colour(self.pixels, self.pixels, outside);
+        for (offset, around) in &self.places {
+            let colour = field.between(&cells, around).map_or(NEUTRAL, |value| colours[field.scale.level(field.part(value))]);
+            picture.set(offset % self.pixels, offset / self.pixels, colour);
+        }
+        picture
+    }
+}
+
 impl PolarField<'_> {
+    /// Rings and sectors.
+    pub fn cells(&self) -> (usize, usize) {
+        (self.values.len(), self.values.first().map_or(0, Vec::len))
+    }
+
     /// The value at a radius (0 to 1) and an angle in degrees, between those of the four cells around; `None` where most of it is missing.
     pub fn at(&self, radius: f64, degrees: f64) -> Option<f64> {
-        let (rings, sectors) = (self.values.len(), self.values.first()?.len());
-        let ring = (radius * rings as f64 - 0.5).min(rings as f64 - 1.0);
-        let (mut sum, mut other, mut whole) = (0.0, 0.0, 0.0);
-        let mut add = |ring: usize, degrees: f64, part: f64| {
-            let sector = (degrees / 360.0).rem_euclid(1.0) * sectors as f64 - 0.5;
-            let first = sector.floor();
-            for (offset, share) in [(0, 1.0 - (sector - first)), (1, sector - first)] {
-                let index = (first as i64 + offset).rem_euclid(sectors as i64) as usize;
-                let weight = part * share;
-                let Some(value) = self.values[ring.min(rings - 1)].get(index).copied().flatten() else { continue };
-                let (sine, cosine) = if self.cyclic { value.to_radians().sin_cos() } else { (0.0, value) };
-                sum += weight * cosine;
-                other += weight * sine;
-                whole += weight;
+        let cells: Vec<_> = self.values.iter().flatten().map(|&value| self.vector(value)).collect();
+        if cells.is_empty() { None } else { self.between(&cells, &around(self.cells(), radius, degrees)) }
+    }
+
+    /// A value as what can be averaged, with 1; all zero where it is missing.
+    fn vector(&self, value: Option<f64>) -> [f64; 3] {
+        let Some(value) = value else { return [0.0; 3] };
+        let (sine, cosine) = if self.cyclic { value.to_radians().sin_cos() } else { (0.0, value) };
+        [cosine, sine, 1.0]
+    }
+
+    /// The value between cells.
+    fn between(&self, cells: &[[f64; 3]], around: &Around) -> Option<f64> {
+        let mut sums = [0.0; 3];
+        for &(cell, share) in around {
+            for (sum, part) in sums.iter_mut().zip(cells.get(cell).copied().unwrap_or_default()) {
+                *sum += share * part;
             }
-        };
-        // Within the first ring's middle the neighbour is the cell across the tip.
-        let (below, opposite) = if ring < 0.0 { (0, true) } else { (ring as usize, false) };
-        let part = ring - ring.floor();
-        if opposite {
-            add(0, degrees, part);
-            add(0, degrees + 180.0, 1.0 - part);
-        } else {
-            add(below, degrees, 1.0 - part);
-            add(below + 1, degrees, part);
         }
+        let [sum, other, whole] = sums;
         if whole < 0.5 {
             None
         } else if self.cyclic {
@@ -56,27 +111,20 @@ impl PolarField<'_> {
         }
     }
 
-    /// The colour of a value.
-    pub fn colour(&self, value: Option<f64>) -> [f32; 3] {
+    /// Where a value lies on the scale, 0 to 1 within its range.
+    fn part(&self, value: f64) -> f64 {
         let [low, high] = self.range;
-        value.map_or(NEUTRAL, |value| self.scale.colour((value - low) / (high - low)))
+        (value - low) / (high - low)
     }
 
-    /// A square picture of so many pixels, the disc in its middle with this radius in pixels, `around` outside of it.
-    pub fn picture(&self, pixels: usize, radius: f64, around: [f32; 3]) -> Picture {
-        let mut picture = Picture::of_colour(pixels, pixels, around);
-        let middle = (pixels as f64 - 1.0) / 2.0;
-        for y in 0..pixels {
-            for x in 0..pixels {
-                let (right, up) = ((x as f64 - middle) / radius, (middle - y as f64) / radius);
-                let distance = right.hypot(up);
-                // A little beyond the rim, which is drawn over.
-                if distance * radius <= radius + 1.0 {
-                    picture.set(x, y, self.colour(self.at(distance.min(1.0), (-right).atan2(up).to_degrees())));
-                }
-            }
-        }
-        picture
+    /// The colour of a value.
+    pub fn colour(&self, value: Option<f64>) -> [f32; 3] {
+        value.map_or(NEUTRAL, |value| self.scale.colour(self.part(value)))
+    }
+
+    /// A square picture of so many pixels, the disc in its middle with this radius in pixels, `outside` beyond it.
+    pub fn picture(&self, pixels: usize, radius: f64, outside: [f32; 3]) -> Picture {
+        Disc::new(self.cells(), pixels, radius).picture(self, outside)
     }
 }
 

@@ -36,9 +36,27 @@ impl Scale {
 
     /// Red, green and blue (sRGB, 0-1) at a part of the scale, 0-1; the end's colour beyond. One of [`LEVELS`].
     pub fn colour(self, part: f64) -> [f32; 3] {
+        self.of_level(self.level(part))
+    }
+
+    /// Which of the colours of [`Self::levels`] a part of the scale has.
+    pub fn level(self, part: f64) -> usize {
         let part = if self == Self::Cycle { part.rem_euclid(1.0) } else { part.clamp(0.0, 1.0) };
-        let last = if self == Self::Cycle { LEVELS } else { LEVELS - 1 };
-        let part = (part * last as f64).round() / last as f64;
+        (part * self.last() as f64).round() as usize % LEVELS
+    }
+
+    /// All colours, from the first to the last.
+    pub fn levels(self) -> [[f32; 3]; LEVELS] {
+        std::array::from_fn(|level| self.of_level(level))
+    }
+
+    /// The level at the end of the scale, which on a circle is the first again.
+    fn last(self) -> usize {
+        if self == Self::Cycle { LEVELS } else { LEVELS - 1 }
+    }
+
+    fn of_level(self, level: usize) -> [f32; 3] {
+        let part = level as f64 / self.last() as f64;
         let of_table = |gradient: colorous::Gradient| {
             let colour = gradient.eval_continuous(part);
             [colour.r, colour.g, colour.b].map(|byte| f32::from(byte) / 255.0)

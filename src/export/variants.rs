@@ -9,7 +9,7 @@ use super::ExportError;
 use crate::{
     analysis::{Analysis, Quantity, polar},
     drawing::{
-        polar::{NEUTRAL, PolarField},
+        polar::{Disc, NEUTRAL, PolarField},
         scale::Scale,
         svg::hex,
     },
@@ -71,11 +71,13 @@ impl Variants {
                 in_texture(LID_RADIUS, from.dot(septal).atan2(from.dot(anterior)).to_degrees())
             }
         });
+        let mut disc = None;
         let quantities = Quantity::ALL.into_iter().filter_map(|quantity| Some((quantity, quantity.of(analysis)?)));
         let coloured = quantities.map(|(quantity, values)| {
             let map = polar::map(values, places, quantity.average());
             let field = PolarField { values: &map, range: quantity.range(), scale: scale(quantity), cyclic: quantity.is_cyclic() };
-            let texture = field.picture(TEXTURE_PIXELS, DISC_RADIUS * TEXTURE_PIXELS as f64, NEUTRAL).png()?;
+            let disc = disc.get_or_insert_with(|| Disc::new(field.cells(), TEXTURE_PIXELS, DISC_RADIUS * TEXTURE_PIXELS as f64));
+            let texture = disc.picture(&field, NEUTRAL).png()?;
             let values = values.iter().map(|value| value.map_or(NO_VALUE, |value| value as f32)).collect();
             Ok(Coloured { quantity, texture, values })
         });
