@@ -1,13 +1,19 @@
 //! The accept loop. `axum::serve` has no time limit on request headers, so a client that never ends them would hold its connection for ever.
 
+use super::client::ClientAddress;
 use axum::Router;
-use hyper::server::conn::http1;
+use hyper::{
+    Request,
+    body::Incoming,
+    server::conn::http1,
+    service::{Service as _, service_fn},
+};
 use hyper_util::{
     rt::{TokioIo, TokioTimer},
     server::graceful::GracefulShutdown,
     service::TowerToHyperService,
 };
-use std::{io, time::Duration};
+use std::{io, net::SocketAddr, time::Duration};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_util::sync::CancellationToken;
 
@@ -23,11 +29,16 @@ pub(super) async fn serve(listener: TcpListener, router: Router, header_time: Du
     builder.timer(TokioTimer::new()).header_read_timeout(header_time);
     let connections = GracefulShutdown::new();
     loop {
-        let stream = tokio::select! {
-            stream = accept(&listener) => stream,
+        let (stream, address) = tokio::select! {
+            accepted = accept(&listener) => accepted,
             () = closing.cancelled() => break,
         };
-        let service = TowerToHyperService::new(router.clone());
+        let client = ClientAddress(address.ip().to_canonical());
+        let router = TowerToHyperService::new(router.clone());
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(client);
+            router.call(request)
+        });
         let connection = connections.watch(builder.serve_connection(TokioIo::new(stream), service));
         tokio::spawn(async move {
             if let Err(error) = connection.await {
@@ -40,10 +51,10 @@ pub(super) async fn serve(listener: TcpListener, router: Router, header_time: Du
 }
 
 /// The next connection. Errors of single connections are theirs alone; others (no more file descriptors) are waited out.
-async fn accept(listener: &TcpListener) -> TcpStream {
+async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
-            Ok((stream, _)) => return stream,
+            Ok(accepted) => return accepted,
             Err(error) if is_of_connection(&error) => {}
             Err(error) => {
                 tracing::error!(%error, "no connection could be accepted");

@@ -8,6 +8,7 @@
 mod again;
 mod archived;
 mod body;
+mod client;
 mod comparison;
 mod demonstration;
 mod dicomweb;

@@ -42,7 +42,7 @@ fn every_setting_is_in_the_table_as_the_program_has_it() {
     let written = table("## Settings");
     assert!(
         written == expected,
-        "the table of settings in docs/operations.md differs from src/config.rs; it should be\n{}",
+        "the table of settings in docs/operations.md differs from src/config/; it should be\n{}",
         expected.join("\n")
     );
 }
