@@ -22,9 +22,11 @@
 //! | [`jobs`] | what is stored, queued and worked on |
 //! | [`callbacks`] | who is told when a job ends, and where its result is sent |
 //! | [`dimse`] | DICOM's own network protocol: images received, results sent |
+//! | [`access`] | who may come in, as whom, and how much |
 //! | [`http`] | the service |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
+pub mod access;
 pub mod accuracy;
 pub mod analysis;
 pub mod archive;

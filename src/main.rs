@@ -27,6 +27,8 @@ enum Command {
     Tables(commands::tables::Args),
     /// Measures both presets on simulated hearts whose volumes are known, and on labelled studies.
     Accuracy(commands::accuracy::Args),
+    /// Makes, lists and revokes API keys.
+    Keys(commands::keys::Args),
     /// Prints the OpenAPI document.
     Openapi(commands::openapi::Args),
     /// Asks a running service whether it is ready; exit status 0 if so.
@@ -55,6 +57,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Phantom(args) => commands::phantom::run(args),
         Command::Tables(args) => commands::tables::run(args),
         Command::Accuracy(args) => commands::accuracy::run(args),
+        Command::Keys(args) => commands::keys::run(args),
         Command::Openapi(args) => commands::openapi::run(&args),
         Command::Healthcheck(args) => commands::healthcheck::run(args),
         Command::DecodeFrames(args) => commands::decode_frames::run(&args),

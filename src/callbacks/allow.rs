@@ -2,7 +2,7 @@
 
 use super::address::{Block, special};
 use std::net::{IpAddr, SocketAddr};
-use url::Host;
+use url::{Host, Url};
 
 /// Hosts and networks of the operator's, where callbacks may go although the addresses are not public; without TLS too where the host is
 /// named or the URL holds the address.
@@ -41,6 +41,21 @@ impl Allowed {
     pub fn parse<'a>(entries: impl IntoIterator<Item = &'a str>) -> Result<Self, AllowError> {
         let entries = entries.into_iter().map(|entry| Entry::parse(entry.trim()).ok_or_else(|| AllowError { entry: entry.to_owned() }));
         Ok(Self { entries: entries.collect::<Result<_, _>>()? })
+    }
+
+    /// The same, and the hosts of these URLs at their ports.
+    #[must_use]
+    pub fn with_hosts_of<'a>(mut self, urls: impl IntoIterator<Item = &'a str>) -> Self {
+        let urls = urls.into_iter().filter_map(|url| Url::parse(url).ok());
+        self.entries.extend(urls.filter_map(|url| {
+            let what = match url.host()? {
+                Host::Domain(name) => What::Name(plain_name(name)),
+                Host::Ipv4(address) => What::Network(Block::one(address.into())),
+                Host::Ipv6(address) => What::Network(Block::one(IpAddr::from(address).to_canonical())),
+            };
+            Some(Entry { what, port: url.port_or_known_default() })
+        }));
+        self
     }
 
     /// Whether the host is on the list by its name.
@@ -115,6 +130,14 @@ mod tests {
         assert_eq!(refused("fd00::1", 10), Some("private"));
         assert_eq!(refused("::1", 443), None);
         assert_eq!(refused("127.0.0.1", 443), Some("loopback"));
+    }
+
+    #[test]
+    fn a_url_allows_its_host_at_its_port() {
+        let allowed = Allowed::default().with_hosts_of(["https://login.example/realms/a", "http://10.1.2.3:8080/", "no url"]);
+        assert!(allowed.names("login.example", 443) && !allowed.names("login.example", 8443));
+        assert_eq!(allowed.refusal("10.1.2.3".parse().unwrap(), 8080), None);
+        assert_eq!(allowed.refusal("10.1.2.3".parse().unwrap(), 80), Some("private"));
     }
 
     #[test]

@@ -38,6 +38,8 @@ use tokio_rustls::{
 };
 use url::Host;
 
+/// Who asks.
+const AGENT: &str = concat!("ventricle/", env!("CARGO_PKG_VERSION"));
 /// Time for resolving the name and connecting.
 const CONNECT_TIME: Duration = Duration::from_secs(5);
 /// Time for everything, to the head of the answer.
@@ -150,6 +152,20 @@ impl Sender {
         &self.allowed
     }
 
+    /// Fetches a document of at most so many bytes, or says why not, without the URL.
+    pub async fn fetch(&self, url: &str, most_bytes: usize) -> Result<Vec<u8>, String> {
+        let fetching = async {
+            let target = Target::parse(url, &self.allowed)?;
+            let sending = self.send(&target, asking(&target)?, most_bytes);
+            timeout(WHOLE_TIME, sending).await.unwrap_or(Err(SendError::Time(WHOLE_TIME)))
+        };
+        match fetching.await {
+            Ok(Answer { status: 200, body, .. }) => Ok(body.into()),
+            Ok(Answer { status, .. }) => Err(format!("the answer is {status}")),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
     /// Posts once.
     pub(super) async fn post(&self, url: &str, message: Message<'_>) -> Result<Answer, SendError> {
         let target = Target::parse(url, &self.allowed)?;
@@ -158,7 +174,10 @@ impl Sender {
 
     async fn exchange(&self, target: &Target, message: Message<'_>) -> Result<Answer, SendError> {
         let answer_bytes = message.answer_bytes;
-        let request = request(target, message)?;
+        self.send(target, request(target, message)?, answer_bytes).await
+    }
+
+    async fn send(&self, target: &Target, request: Request<Full<Bytes>>, answer_bytes: usize) -> Result<Answer, SendError> {
         let stream = self.connect(target).await?;
         if !target.secure {
             return exchange(stream, request, answer_bytes).await;
@@ -217,10 +236,20 @@ fn server_name(host: &Host<String>) -> Result<ServerName<'static>, SendError> {
     })
 }
 
+/// A request for a document.
+fn asking(target: &Target) -> Result<Request<Full<Bytes>>, SendError> {
+    let request = Request::get(&target.path)
+        .header(header::HOST, &target.authority)
+        .header(header::USER_AGENT, AGENT)
+        .header(header::ACCEPT, "application/json")
+        .header(header::CONNECTION, "close");
+    Ok(request.body(Full::default())?)
+}
+
 fn request(target: &Target, message: Message<'_>) -> Result<Request<Full<Bytes>>, SendError> {
     let request = Request::post(&target.path)
         .header(header::HOST, &target.authority)
-        .header(header::USER_AGENT, concat!("ventricle/", env!("CARGO_PKG_VERSION")))
+        .header(header::USER_AGENT, AGENT)
         .header(header::CONTENT_TYPE, message.media_type)
         .header(header::CONNECTION, "close");
     let request = message.headers.iter().fold(request, |request, (name, value)| request.header(*name, value));

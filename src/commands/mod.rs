@@ -4,6 +4,7 @@ pub(crate) mod accuracy;
 pub(crate) mod decode_frames;
 pub(crate) mod demo;
 pub(crate) mod healthcheck;
+pub(crate) mod keys;
 pub(crate) mod openapi;
 pub(crate) mod phantom;
 pub(crate) mod reconstruct;

@@ -1,6 +1,10 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
-use crate::dimse::is_ae_title;
+mod access;
+
+pub use access::{AccessError, AccessSettings, default_keys_file};
+
+use crate::{access::is_owner, dimse::is_ae_title, jobs::ANONYMOUS};
 use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
@@ -28,10 +32,9 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_LISTEN", default_value = "127.0.0.1:8080")]
     pub listen: SocketAddr,
 
-    /// Confirms that whatever stands before the service (a reverse proxy, a service mesh, a closed container network) encrypts and
-    /// authenticates: needed to listen on anything but a loopback address.
-    #[arg(long, env = "VENTRICLE_BEHIND_AUTHENTICATING_PROXY", value_parser = BoolishValueParser::new())]
-    pub behind_authenticating_proxy: bool,
+    /// Who may come in, and how much each may use.
+    #[command(flatten)]
+    pub access: AccessSettings,
 
     /// Directory of the embedded database. Made if absent.
     #[arg(long, env = "VENTRICLE_DATA_DIR", default_value = "./data")]
@@ -157,6 +160,15 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_DIMSE_CALLING_AE", value_delimiter = ',', value_parser = ae_title)]
     pub dimse_calling_ae: Vec<String>,
 
+    /// Confirms that only those callers reach the address of DICOM associations: needed for anything but a loopback address, since anybody can
+    /// give an AE title.
+    #[arg(long, env = "VENTRICLE_DIMSE_TRUSTED_NETWORK", value_parser = BoolishValueParser::new())]
+    pub dimse_trusted_network: bool,
+
+    /// Owner of the jobs that come by DICOM associations: who has a key or token of the same owner sees them.
+    #[arg(long, env = "VENTRICLE_DIMSE_OWNER", default_value = ANONYMOUS, value_parser = owner)]
+    pub dimse_owner: String,
+
     /// DICOM associations at once; more are rejected for the moment.
     #[arg(long, env = "VENTRICLE_DIMSE_MAX_ASSOCIATIONS", default_value = "8", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub dimse_max_associations: u16,
@@ -228,21 +240,14 @@ pub enum Cors {
 /// Why the service does not start with the settings given.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// The service would be reachable from outside without anything that asks who calls.
-    #[error(
-        "{listen} is not a loopback address, and the service itself neither encrypts nor authenticates: whoever reaches it could read every \
-         result. Listen on 127.0.0.1, or put a proxy that terminates TLS and authenticates before it and say so with \
-         --behind-authenticating-proxy (VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true)."
-    )]
-    Exposed {
-        /// The address asked for.
-        listen: SocketAddr,
-    },
+    /// Who may come in.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// DICOM associations could come from outside.
     #[error(
         "{listen} is not a loopback address, and DICOM associations are not authenticated: whoever reaches it could send studies. Listen on \
-         127.0.0.1, or name the callers with --dimse-calling-ae (VENTRICLE_DIMSE_CALLING_AE) and confirm with --behind-authenticating-proxy \
-         (VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true) that only they reach it: anybody can give an AE title."
+         127.0.0.1, or name the callers with --dimse-calling-ae (VENTRICLE_DIMSE_CALLING_AE) and confirm with --dimse-trusted-network \
+         (VENTRICLE_DIMSE_TRUSTED_NETWORK=true) that only they reach it: anybody can give an AE title."
     )]
     DimseExposed {
         /// The address asked for.
@@ -334,11 +339,9 @@ impl ServeSettings {
 
     /// Checks what no single setting can say.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        if !self.listen.ip().is_loopback() && !self.behind_authenticating_proxy {
-            return Err(ConfigError::Exposed { listen: self.listen });
-        }
+        self.access.validate(self.listen, &self.data_dir)?;
         if let Some(listen) = self.dimse_listen.filter(|listen| !listen.ip().is_loopback())
-            && (!self.behind_authenticating_proxy || self.dimse_calling_ae.is_empty())
+            && (!self.dimse_trusted_network || self.dimse_calling_ae.is_empty())
         {
             return Err(ConfigError::DimseExposed { listen });
         }
@@ -444,6 +447,14 @@ fn ae_title(text: &str) -> Result<String, String> {
     Err("an AE title has 1 to 16 printable ASCII characters, no backslash and no space at its ends.".to_owned())
 }
 
+/// A name of an owner of jobs.
+pub fn owner(text: &str) -> Result<String, String> {
+    if is_owner(text) {
+        return Ok(text.to_owned());
+    }
+    Err("an owner's name has 1 to 128 characters, no control characters and no white space at its ends.".to_owned())
+}
+
 /// A name that can stand in a table, a log and a label without quotes.
 fn node_name(text: &str) -> Result<String, String> {
     let plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
@@ -486,15 +497,15 @@ mod tests {
     #[test]
     fn an_open_address_needs_an_acknowledgement_and_the_refusal_says_which() {
         let error = settings(&["--listen", "0.0.0.0:8080"]).validate().unwrap_err();
-        assert!(error.to_string().contains("--behind-authenticating-proxy"), "{error}");
-        settings(&["--listen", "[::]:8080", "--behind-authenticating-proxy"]).validate().unwrap();
+        assert!(error.to_string().contains("--insecure-no-auth"), "{error}");
+        settings(&["--listen", "[::]:8080", "--insecure-no-auth"]).validate().unwrap();
         settings(&["--listen", "[::1]:8080"]).validate().unwrap();
     }
 
     #[test]
     fn dicom_from_outside_needs_callers_and_an_acknowledgement() {
         let open = ["--dimse-listen", "0.0.0.0:104"];
-        let (callers, proxy) = (["--dimse-calling-ae", "PACS,CAMERA 2"], ["--behind-authenticating-proxy"]);
+        let (callers, proxy) = (["--dimse-calling-ae", "PACS,CAMERA 2"], ["--dimse-trusted-network"]);
         for flags in [open.to_vec(), [&open[..], &callers].concat(), [&open[..], &proxy].concat()] {
             assert!(matches!(settings(&flags).validate(), Err(ConfigError::DimseExposed { .. })), "{flags:?}");
         }

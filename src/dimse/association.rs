@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     assembly::{Refusal, Way},
-    jobs::{ANONYMOUS, SubmitError},
+    jobs::SubmitError,
 };
 use dicom_ul::pdu::{PDataValueType, Pdu};
 use std::time::Duration;
@@ -203,7 +203,7 @@ impl<'a, S: Stream> Association<'a, S> {
 
     /// Stores what was received; returns the status and what is said about it.
     async fn commit(&self, object: Object) -> (u16, Option<String>) {
-        let mut reception = self.shared.assembler.reception(ANONYMOUS, Way::Dimse, None);
+        let mut reception = self.shared.assembler.reception(&self.shared.settings.owner, Way::Dimse, None);
         reception.take(object.whole()).await;
         match reception.end().await.outcomes.into_iter().next().map(|outcome| outcome.result) {
             Some(Ok(())) => (command::SUCCESS, None),

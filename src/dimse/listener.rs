@@ -30,6 +30,8 @@ const SYSTEM_PAUSE: Duration = Duration::from_millis(100);
 pub struct Settings {
     /// Calling AE titles that may associate; empty: any.
     pub callers: Vec<String>,
+    /// Owner of the jobs that come.
+    pub owner: String,
     /// Encodings in which objects are accepted.
     pub transfer_syntaxes: Vec<TransferSyntax>,
     /// Associations at once.

@@ -120,7 +120,8 @@ impl File {
 
     fn tuples(&mut self, name: &str, kind: &str, components: usize, more: &str, bytes: &[u8]) -> io::Result<()> {
         let components = if components > 0 { format!(" NumberOfComponents=\"{components}\"") } else { String::new() };
-        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+        // Coordinates hardly compress and indices easily do: the highest level makes the file no smaller than the fastest.
+        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
         encoder.write_all(bytes)?;
         let compressed = encoder.finish()?;
         // One block, its length, no shorter last block, its compressed length.

@@ -1,7 +1,9 @@
 //! A reconstruction once more, on the input that was kept, with other parameters.
 
 use super::{
-    AppState, body,
+    AppState,
+    access::Calling,
+    body,
     body::BodyError,
     extract::Id,
     negotiate,
@@ -54,7 +56,13 @@ use uuid::Uuid;
          content_type = "application/problem+json", headers(("Retry-After" = u64, description = "Seconds"))),
     ),
 )]
-pub(super) async fn again(State(state): State<AppState>, Id(id): Id, headers: HeaderMap, body: Body) -> Result<Response, Problem> {
+pub(super) async fn again(
+    State(state): State<AppState>,
+    calling: Calling,
+    Id(id): Id,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, "application/json")?;
     state.accepts_work()?;
     body::plain(&headers)?;
@@ -64,8 +72,8 @@ pub(super) async fn again(State(state): State<AppState>, Id(id): Id, headers: He
     let mut reservation = state.store.reserve(0)?;
     let kept = kept_input(&state.store, id).await?;
     reservation.resize(kept.study.len() as u64)?;
-    let rules = Rules::of(&state);
-    let new = state.parse(move |_| new_job(id, kept, &written, idempotency_key, &rules)).await?;
+    let (rules, owner) = (Rules::of(&state), calling.0.owner.clone());
+    let new = state.parse(move |_| new_job(id, owner, kept, &written, idempotency_key, &rules)).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, &job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
@@ -91,7 +99,14 @@ fn written(bytes: &[u8]) -> Result<Value, BodyError> {
 }
 
 /// Slow for large studies; not for a thread of the runtime.
-fn new_job(id: Uuid, kept: KeptInput, written: &Value, idempotency_key: Option<String>, rules: &Rules) -> Result<NewJob, Problem> {
+fn new_job(
+    id: Uuid,
+    owner: String,
+    kept: KeptInput,
+    written: &Value,
+    idempotency_key: Option<String>,
+    rules: &Rules,
+) -> Result<NewJob, Problem> {
     let study = input::decode(&kept.study).map_err(|error| {
         tracing::error!(%error, %id, "a kept input cannot be read");
         Problem::internal()
@@ -102,5 +117,5 @@ fn new_job(id: Uuid, kept: KeptInput, written: &Value, idempotency_key: Option<S
     hash.update(b"again");
     hash.update(id.as_bytes());
     hash.update(written.to_string());
-    Ok(wishes.job(study, kept.subject, idempotency_key, hash.finalize().into()))
+    Ok(wishes.job(owner, study, kept.subject, idempotency_key, hash.finalize().into()))
 }

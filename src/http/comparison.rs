@@ -2,6 +2,7 @@
 
 use super::{
     AppState,
+    access::Calling,
     archived::stored_report,
     extract::{Id, Query},
     negotiate,
@@ -58,6 +59,7 @@ pub(super) struct With {
 )]
 pub(super) async fn comparison(
     State(state): State<AppState>,
+    calling: Calling,
     Id(id): Id,
     Query(With { with }): Query<With>,
     headers: HeaderMap,
@@ -67,6 +69,7 @@ pub(super) async fn comparison(
         let detail = format!("`with` names the reconstruction itself, {id}; name another one, as that of the rest study.");
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "same_reconstruction", detail));
     }
+    let with = calling.sees(&state, with).await?;
     let first = stored_report(&state.store, id, "comparison").await.map_err(|problem| of_one(id, problem))?;
     let second = stored_report(&state.store, with, "comparison").await.map_err(|problem| of_one(with, problem))?;
     let comparison = report::compare(&first, &second)?;

@@ -5,7 +5,9 @@
 //! what PACS check.
 
 use super::{
-    AppState, body,
+    AppState,
+    access::Calling,
+    body,
     body::BodyError,
     extract::StudyUid,
     layers::Told,
@@ -13,10 +15,7 @@ use super::{
     problem::Problem,
     views::{Binary, StoreInstancesResponse},
 };
-use crate::{
-    assembly::{Received, Reception, Way},
-    jobs::ANONYMOUS,
-};
+use crate::assembly::{Received, Reception, Way};
 use axum::{
     Extension,
     body::{Body, BodyDataStream, Bytes},
@@ -66,8 +65,8 @@ const MOST_LINKS: usize = 16;
          content_type = "application/problem+json", headers(("Retry-After" = u64, description = "Seconds"))),
     ),
 )]
-pub(super) async fn store(State(state): State<AppState>, headers: HeaderMap, body: Body) -> Result<Response, Problem> {
-    receive(&state, None, &headers, body).await
+pub(super) async fn store(State(state): State<AppState>, calling: Calling, headers: HeaderMap, body: Body) -> Result<Response, Problem> {
+    receive(&state, &calling, None, &headers, body).await
 }
 
 /// Stores DICOM instances of one study (STOW-RS).
@@ -93,19 +92,26 @@ pub(super) async fn store(State(state): State<AppState>, headers: HeaderMap, bod
 )]
 pub(super) async fn store_of_study(
     State(state): State<AppState>,
+    calling: Calling,
     StudyUid(study_uid): StudyUid,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    receive(&state, Some(study_uid), &headers, body).await
+    receive(&state, &calling, Some(study_uid), &headers, body).await
 }
 
-async fn receive(state: &AppState, study_uid: Option<String>, headers: &HeaderMap, body: Body) -> Result<Response, Problem> {
+async fn receive(
+    state: &AppState,
+    calling: &Calling,
+    study_uid: Option<String>,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
     if let Err(refusal) = admit(state, headers) {
         body::discard(headers, body, state.study_bytes).await;
         return Err(refusal);
     }
-    let reception = state.assembler().reception(ANONYMOUS, Way::Stow, study_uid);
+    let reception = state.assembler().reception(&calling.0.owner, Way::Stow, study_uid);
     let reading = read(state, headers, body, reception);
     let reception = tokio::time::timeout(state.study_time(), reading)
         .await

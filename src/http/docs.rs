@@ -1,6 +1,12 @@
 //! The contract, its reference page, and what stands at the root.
 
-use super::{AppState, problem::Problem, results::send, views::CallbackView};
+use super::{
+    AppState,
+    access::{self, Needs},
+    problem::Problem,
+    results::send,
+    views::CallbackView,
+};
 use crate::{
     jobs::Blob,
     parameters::{self, Description},
@@ -10,16 +16,17 @@ use crate::{
 use axum::{
     Json, Router,
     extract::State,
-    http::{HeaderMap, header},
+    http::{HeaderMap, Method, header},
     response::{Html, IntoResponse, Response},
 };
 use serde::Serialize;
 use utoipa::{
     OpenApi, ToSchema,
     openapi::{
-        ContentBuilder, HttpMethod, Object, PathItem, Ref, RefOr, Required, ResponseBuilder, Type,
+        ContentBuilder, HeaderBuilder, HttpMethod, Object, PathItem, Ref, RefOr, Required, ResponseBuilder, Type,
         path::{Callback, OperationBuilder, ParameterBuilder, ParameterIn},
         request_body::RequestBodyBuilder,
+        security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme},
     },
 };
 use utoipa_swagger_ui::{Config, SwaggerUi};
@@ -66,6 +73,41 @@ pub(super) fn document_other_problems(document: &mut utoipa::openapi::OpenApi) {
     for item in document.paths.paths.values_mut() {
         for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
             operation.responses.responses.insert("default".to_owned(), problem().into());
+        }
+    }
+}
+
+/// Describes who may call what, and how those are answered who may not.
+pub(super) fn document_access(document: &mut utoipa::openapi::OpenApi) {
+    let components = document.components.get_or_insert_default();
+    let mut bearer = Http::new(HttpAuthScheme::Bearer);
+    bearer.description = Some("An API key, or a token of the OpenID provider. A service on loopback without keys asks nobody.".to_owned());
+    let mut basic = Http::new(HttpAuthScheme::Basic);
+    basic.description = Some("An API key as the password; the name does not matter.".to_owned());
+    components.add_security_scheme("bearer", SecurityScheme::Http(bearer));
+    components.add_security_scheme("basic", SecurityScheme::Http(basic));
+    let problem = |description: &str, headers: &[(&str, &str)]| {
+        let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+        let response = ResponseBuilder::new().description(description).content("application/problem+json", content);
+        let header =
+            |description: &str| HeaderBuilder::new().schema(Some(Object::with_type(Type::String))).description(Some(description)).build();
+        headers.iter().fold(response, |response, (name, description)| response.header(*name, header(description))).build()
+    };
+    for (path, item) in &mut document.paths.paths {
+        for (method, operation) in [(Method::GET, &mut item.get), (Method::POST, &mut item.post), (Method::DELETE, &mut item.delete)] {
+            let Some(operation) = operation else { continue };
+            let Needs::A(scope) = access::needs(&method, Some(path)) else {
+                operation.security = Some(Vec::new());
+                continue;
+            };
+            operation.security = Some(["bearer", "basic"].map(|scheme| SecurityRequirement::new(scheme, [scope.name()])).into());
+            let responses = &mut operation.responses.responses;
+            let who = "No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`)";
+            responses.insert("401".to_owned(), problem(who, &[("WWW-Authenticate", "What is asked for")]).into());
+            let scope = format!("The key or token has not the scope `{}`, or a page of another site sent the request", scope.name());
+            responses.insert("403".to_owned(), problem(&scope, &[]).into());
+            let much = "More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address";
+            responses.insert("429".to_owned(), problem(much, &[("Retry-After", "Seconds")]).into());
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Progress of a reconstruction as server-sent events.
 
-use super::{AppState, extract::Id, negotiate, problem::Problem, views::JobView};
+use super::{AppState, access::Calling, extract::Id, negotiate, problem::Problem, views::JobView};
 use crate::jobs::Job;
 use axum::{
     extract::State,
@@ -36,7 +36,7 @@ const WAIT: Duration = Duration::from_mins(1);
         (status = 406, description = "`Accept` excludes `text/event-stream`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub(super) async fn events(State(state): State<AppState>, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn events(State(state): State<AppState>, calling: Calling, Id(id): Id, headers: HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, "text/event-stream")?;
     let job = state.store.get(id).await?.ok_or_else(|| Problem::no_such_reconstruction(id))?;
     let seen = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.trim().parse::<i64>().ok());
@@ -45,7 +45,7 @@ pub(super) async fn events(State(state): State<AppState>, Id(id): Id, headers: H
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let first = if repeated { Next::After(job) } else { Next::Send(job) };
-    Ok(Sse::new(follow(state, first)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
+    Ok(Sse::new(follow(state, calling, first)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
 }
 
 /// What the stream does next.
@@ -56,15 +56,15 @@ enum Next {
     After(Job),
 }
 
-/// The events from here to the final state, the job's deletion or the end of the service.
-fn follow(state: AppState, first: Next) -> impl Stream<Item = Result<Event, Infallible>> {
-    stream::unfold((state, first), |(state, next)| async move {
+/// The events from here to the final state, the job's deletion, the end of what the caller may, or that of the service.
+fn follow(state: AppState, calling: Calling, first: Next) -> impl Stream<Item = Result<Event, Infallible>> {
+    stream::unfold((state, calling, first), |(state, calling, next)| async move {
         let job = match next {
             Next::Send(job) => job,
             Next::After(job) => changed(&state, job).await?,
         };
-        let event = event(&job)?;
-        Some((Ok(event), (state, Next::After(job))))
+        let event = event(&job).filter(|_| state.access.stands(&calling.0))?;
+        Some((Ok(event), (state, calling, Next::After(job))))
     })
 }
 

@@ -1,6 +1,6 @@
 //! Extractors whose refusals are problem documents.
 
-use super::problem::Problem;
+use super::{AppState, access::Calling, problem::Problem};
 use axum::{
     extract::{FromRequestParts, Path},
     http::{StatusCode, request::Parts},
@@ -20,39 +20,44 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Query<T> {
     }
 }
 
-/// The id of a reconstruction in the path.
+/// An id, if the caller sees that reconstruction. No other way leads from a path to a reconstruction.
+async fn seen(parts: &mut Parts, state: &AppState, id: Uuid) -> Result<Uuid, Problem> {
+    Calling::from_request_parts(parts, state).await?.sees(state, id).await
+}
+
+/// The id of a reconstruction in the path, which the caller sees.
 pub(super) struct Id(pub Uuid);
 
-impl<S: Send + Sync> FromRequestParts<S> for Id {
+impl FromRequestParts<AppState> for Id {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, state: &AppState) -> Result<Self, Problem> {
         let Path(id) = Path::from_request_parts(parts, state).await?;
-        Ok(Self(id))
+        Ok(Self(seen(parts, state, id).await?))
     }
 }
 
 /// The id of a reconstruction and a gate, counted from 1, in the path.
 pub(super) struct IdAndGate(pub Uuid, pub u32);
 
-impl<S: Send + Sync> FromRequestParts<S> for IdAndGate {
+impl FromRequestParts<AppState> for IdAndGate {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, state: &AppState) -> Result<Self, Problem> {
         let Path((id, gate)) = Path::from_request_parts(parts, state).await?;
-        Ok(Self(id, gate))
+        Ok(Self(seen(parts, state, id).await?, gate))
     }
 }
 
 /// The id of a reconstruction and the name of a picture in the path.
 pub(super) struct IdAndImage(pub Uuid, pub String);
 
-impl<S: Send + Sync> FromRequestParts<S> for IdAndImage {
+impl FromRequestParts<AppState> for IdAndImage {
     type Rejection = Problem;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, state: &AppState) -> Result<Self, Problem> {
         let Path((id, image)) = Path::from_request_parts(parts, state).await?;
-        Ok(Self(id, image))
+        Ok(Self(seen(parts, state, id).await?, image))
     }
 }
 

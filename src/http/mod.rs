@@ -5,6 +5,8 @@
 
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
+mod access;
+mod admission;
 mod again;
 mod archived;
 mod body;
@@ -30,12 +32,14 @@ mod viewer;
 mod views;
 mod wishes;
 
+pub use access::routes as guarded_routes;
 pub use health::{Check, Checks};
 pub use problem::Problem;
 pub use service::{Running, ServeError, serve, start};
 pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressView, callback_body};
 
 use crate::{
+    access::{Access, Audit},
     assembly::{self, Assembler, NotParsed, Parsers},
     callbacks::Rules,
     codecs::Decoder,
@@ -82,6 +86,8 @@ pub struct AppState {
     callbacks: Option<Arc<Rules>>,
     phantom: Arc<demonstration::Made>,
     viewer: viewer::Files,
+    access: Arc<Access>,
+    audit: Option<Audit>,
     draining: CancellationToken,
     metrics: PrometheusHandle,
     openapi: Arc<str>,
@@ -118,6 +124,8 @@ impl AppState {
             callbacks: None,
             phantom: Arc::default(),
             viewer: viewer::embedded(),
+            access: Arc::new(Access::open()),
+            audit: None,
             draining: CancellationToken::new(),
             metrics: telemetry::metrics(),
             openapi: openapi_json().into(),
@@ -184,6 +192,18 @@ impl AppState {
     #[must_use]
     pub fn with_callbacks(self, rules: Rules) -> Self {
         Self { callbacks: Some(Arc::new(rules)), ..self }
+    }
+
+    /// Asking callers who they are. Without it everybody may do everything.
+    #[must_use]
+    pub fn with_access(self, access: Access) -> Self {
+        Self { access: Arc::new(access), ..self }
+    }
+
+    /// Telling who did what.
+    #[must_use]
+    pub fn with_audit(self, audit: Audit) -> Self {
+        Self { audit: Some(audit), ..self }
     }
 
     /// With another viewer than the one built in: its files by name. With none, the root says that there is no viewer.
@@ -286,6 +306,7 @@ pub fn router(state: AppState) -> Router {
         // The same with a slash at the end, as configurations written by hand have it: no client of STOW-RS follows a redirect.
         .route("/dicom-web/studies/", axum::routing::post(dicomweb::store))
         .route("/dicom-web/studies/{study_instance_uid}/", axum::routing::post(dicomweb::store_of_study))
+        .layer(middleware::from_fn_with_state(state.clone(), access::guard))
         .layer(CatchPanicLayer::custom(layers::panicked))
         .layer(middleware::from_fn(layers::observe));
     let router = match layers::cors(&state.cors) {
@@ -300,6 +321,7 @@ pub fn openapi_document() -> utoipa::openapi::OpenApi {
     let mut document = routes().into_openapi();
     docs::document_other_problems(&mut document);
     docs::document_callback(&mut document);
+    docs::document_access(&mut document);
     document
 }
 

@@ -1,6 +1,6 @@
 //! What happens to all reconstructions as server-sent events.
 
-use super::{AppState, events::KEEP_ALIVE, negotiate, problem::Problem, views::JobView};
+use super::{AppState, access::Calling, events::KEEP_ALIVE, negotiate, problem::Problem, views::JobView};
 use crate::jobs::News;
 use axum::{
     extract::State,
@@ -37,31 +37,40 @@ pub(super) struct DeletedView {
         (status = 406, description = "`Accept` excludes `text/event-stream`", body = Problem, content_type = "application/problem+json"),
     ),
 )]
-pub(super) async fn news(State(state): State<AppState>, headers: HeaderMap) -> Result<Response, Problem> {
+pub(super) async fn news(State(state): State<AppState>, calling: Calling, headers: HeaderMap) -> Result<Response, Problem> {
     negotiate::acceptable(&headers, "text/event-stream")?;
     state.accepts_work()?;
-    let events = follow(state.store.news(), state);
+    let events = follow(state.store.news(), calling, state);
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response())
 }
 
-/// The events from now to the end of the service.
-fn follow(news: Receiver<News>, state: AppState) -> impl Stream<Item = Result<Event, Infallible>> {
-    stream::unfold((news, state, true), |(mut news, state, first)| async move {
-        let event = if first { hello() } else { next(&mut news, &state).await? };
-        Some((Ok(event), (news, state, false)))
+/// The events of what the caller sees, from now to the end of the service.
+fn follow(news: Receiver<News>, calling: Calling, state: AppState) -> impl Stream<Item = Result<Event, Infallible>> {
+    stream::unfold((news, calling, state, true), |(mut news, calling, state, first)| async move {
+        let event = if first { hello() } else { next(&mut news, calling.0.sees_only(), &state).await? };
+        state.access.stands(&calling.0).then_some((Ok(event), (news, calling, state, false)))
     })
 }
 
-async fn next(news: &mut Receiver<News>, state: &AppState) -> Option<Event> {
-    let told = tokio::select! {
-        told = news.recv() => told,
-        () = state.draining.cancelled() => return None,
-    };
-    match told {
-        Ok(News::Changed(job)) => Event::default().event("job").json_data(JobView::from(&*job)).ok(),
-        Ok(News::Deleted(id)) => Event::default().event("deleted").json_data(DeletedView { id }).ok(),
-        Ok(News::Missed) | Err(RecvError::Lagged(_)) => Some(hello()),
-        Err(RecvError::Closed) => None,
+/// The next event of what belongs to the owner, or of all.
+async fn next(news: &mut Receiver<News>, only: Option<&str>, state: &AppState) -> Option<Event> {
+    let seen = |owner: &str| only.is_none_or(|only| only == owner);
+    loop {
+        let told = tokio::select! {
+            told = news.recv() => told,
+            () = state.draining.cancelled() => return None,
+        };
+        return match told {
+            Ok(News::Changed(job)) if seen(&job.owner) => Event::default().event("job").json_data(JobView::from(&*job)).ok(),
+            Ok(News::Deleted { id, owner }) if only.is_none() || owner.as_deref().is_some_and(seen) => {
+                Event::default().event("deleted").json_data(DeletedView { id }).ok()
+            }
+            // Of somebody else.
+            Ok(News::Changed(_) | News::Deleted { owner: Some(_), .. }) => continue,
+            // Whose it was is not known: the list tells.
+            Ok(News::Missed | News::Deleted { owner: None, .. }) | Err(RecvError::Lagged(_)) => Some(hello()),
+            Err(RecvError::Closed) => None,
+        };
     }
 }
 

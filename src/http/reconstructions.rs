@@ -2,6 +2,7 @@
 
 use super::{
     AppState,
+    access::Calling,
     body::{self, Upload, merged_parameters},
     extract::{Id, Query},
     negotiate,
@@ -17,7 +18,7 @@ use crate::{
 };
 use axum::{
     Json,
-    body::Body,
+    body::{Body, Bytes},
     extract::State,
     http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
@@ -126,6 +127,7 @@ pub(super) struct JsonGrid {
 )]
 pub(super) async fn submit(
     State(state): State<AppState>,
+    calling: Calling,
     Query(query): Query<Vec<(String, String)>>,
     headers: HeaderMap,
     body: Body,
@@ -141,8 +143,8 @@ pub(super) async fn submit(
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let (rules, keep_subject) = (Rules::of(&state), state.keep_patient);
-    let parsing = move |limits: &_| receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules, keep_subject);
-    let new = state.parse(parsing).await?;
+    let submission = Submission { owner: calling.0.owner.clone(), content_type, bytes, query, idempotency_key };
+    let new = state.parse(move |limits| receive(submission, limits, &rules, keep_subject)).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
@@ -159,17 +161,19 @@ fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reser
     Ok((idempotency_key, state.store.reserve(announced)?))
 }
 
-/// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
-fn receive(
-    content_type: Option<&str>,
-    bytes: axum::body::Bytes,
-    mut query: Vec<(String, String)>,
+/// A submission as it came.
+struct Submission {
+    owner: String,
+    content_type: Option<String>,
+    bytes: Bytes,
+    query: Vec<(String, String)>,
     idempotency_key: Option<String>,
-    limits: &intake::Limits,
-    rules: &Rules,
-    keep_subject: bool,
-) -> Result<NewJob, Problem> {
-    let upload = Upload::new(content_type, bytes)?;
+}
+
+/// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
+fn receive(submission: Submission, limits: &intake::Limits, rules: &Rules, keep_subject: bool) -> Result<NewJob, Problem> {
+    let Submission { owner, content_type, bytes, mut query, idempotency_key } = submission;
+    let upload = Upload::new(content_type.as_deref(), bytes)?;
     let request_hash = upload.hash(&query);
     let options = intake::Options { spacing_mm: take_spacing(&mut query)?, keep_subject };
     let query = parameters::from_query(&query)?;
@@ -185,7 +189,7 @@ fn receive(
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
     }
     let wishes = Wishes::read(&merged_parameters(received.parameters, upload.parameters, query), rules, &received.study)?;
-    Ok(wishes.job(received.study, received.subject, idempotency_key, request_hash))
+    Ok(wishes.job(owner, received.study, received.subject, idempotency_key, request_hash))
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.
@@ -249,6 +253,7 @@ pub(super) struct Listing {
 )]
 pub(super) async fn list(
     State(state): State<AppState>,
+    calling: Calling,
     Query(query): Query<Listing>,
     headers: HeaderMap,
 ) -> Result<Json<JobListView>, Problem> {
@@ -259,7 +264,8 @@ pub(super) async fn list(
         return Err(Problem::new(StatusCode::BAD_REQUEST, "invalid_query", detail));
     }
     let state_wanted = query.state.map(jobs::State::from);
-    let wanted = ListQuery { state: state_wanted, study_instance_uid: query.study_instance_uid, limit, cursor: query.cursor };
+    let owner = calling.0.sees_only().map(str::to_owned);
+    let wanted = ListQuery { state: state_wanted, study_instance_uid: query.study_instance_uid, owner, limit, cursor: query.cursor };
     Ok(Json((&state.store.list(wanted).await?).into()))
 }
 

@@ -1,7 +1,8 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, archived, listener, router, views};
+use super::{AppState, admission, archived, listener, router, views};
 use crate::{
+    access::{Audit, AuditError, KeyringError},
     assembly,
     callbacks::{
         self, AllowError, Allowed, Deliveries, DeliverySettings, Destination, DestinationError, Document, Results, RootsError, Rules,
@@ -35,6 +36,12 @@ pub enum ServeError {
     /// The store did not open.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The file of keys cannot be used.
+    #[error(transparent)]
+    Keys(#[from] KeyringError),
+    /// The audit log cannot be written.
+    #[error(transparent)]
+    Audit(#[from] AuditError),
     /// `--callback-allow` cannot be read.
     #[error(transparent)]
     CallbackAllow(#[from] AllowError),
@@ -70,6 +77,7 @@ pub struct Running {
     draining: CancellationToken,
     closing: CancellationToken,
     listener: JoinHandle<()>,
+    _admission: admission::Watch,
     workers: Arc<Workers>,
     deliveries: Option<Deliveries>,
     dimse: Option<dimse::Listener>,
@@ -129,14 +137,20 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     };
     let dimse_address = dimse_listener.as_ref().map(|(listener, _)| listener.local_addr()).transpose()?;
     let outward = outward(settings)?;
+    let access = admission::access(settings)?;
+    let audit = settings.access.audit_log.as_deref().map(Audit::open).transpose()?;
     let store = Store::open(store_settings(settings)).await?;
     let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
-    let mut state = state(settings, &store, &workers);
+    let mut state = state(settings, &store, &workers).with_access(access);
+    if let Some(audit) = audit {
+        state = state.with_audit(audit);
+    }
     if let Some(rules) = outward.rules {
         state = state.with_callbacks(rules);
     }
     let deliveries = outward.deliveries.map(|settings| callbacks::start(store.clone(), settings));
     let assembly = state.assembler().watch();
+    let admission = admission::watch(&state.access, state.audit.clone())?;
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let dimse = dimse_listener.map(|(listener, tls)| {
         let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), tls);
@@ -144,7 +158,21 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     });
     let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
     let drain_time = settings.drain_time();
-    Ok(Running { address, dimse_address, draining, closing, listener, workers, deliveries, dimse, _assembly: assembly, store, drain_time })
+    let (_assembly, _admission) = (assembly, admission);
+    Ok(Running {
+        address,
+        dimse_address,
+        draining,
+        closing,
+        listener,
+        workers,
+        deliveries,
+        dimse,
+        _assembly,
+        _admission,
+        store,
+        drain_time,
+    })
 }
 
 async fn bind(address: SocketAddr) -> Result<TcpListener, ServeError> {
@@ -240,6 +268,7 @@ fn dimse_settings(
 ) -> dimse::Settings {
     dimse::Settings {
         callers: settings.dimse_calling_ae.clone(),
+        owner: settings.dimse_owner.clone(),
         transfer_syntaxes,
         associations: settings.dimse_max_associations.into(),
         object_bytes: settings.max_body_bytes() as usize,

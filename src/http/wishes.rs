@@ -3,7 +3,7 @@
 use super::{AppState, problem::Problem};
 use crate::{
     callbacks,
-    jobs::{self, NewJob},
+    jobs::NewJob,
     parameters::{self, ParameterError},
     pipeline::{parameters::Parameters, pose, region},
     study::Study,
@@ -50,9 +50,15 @@ impl Wishes {
     }
 
     /// The job.
-    pub(super) fn job(self, study: Study, subject: Option<Subject>, idempotency_key: Option<String>, request_hash: [u8; 32]) -> NewJob {
+    pub(super) fn job(
+        self,
+        owner: String,
+        study: Study,
+        subject: Option<Subject>,
+        idempotency_key: Option<String>,
+        request_hash: [u8; 32],
+    ) -> NewJob {
         let Self { parameters, retention, callback_url, keep_input } = self;
-        let owner = jobs::ANONYMOUS.to_owned();
         NewJob { owner, idempotency_key, request_hash, study, subject, parameters, retention, callback_url, keep_input }
     }
 }

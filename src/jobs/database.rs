@@ -44,9 +44,9 @@ const ADVISORY_KEY: i64 = 0x7665_6e74_0000_0000;
 /// The channel on which the nodes of one schema tell each other of changes, as an expression of PostgreSQL. Channels belong to a database;
 /// the schema's number keeps apart those who share it, and fits into the 63 bytes a channel's name may have, whatever the schema is called.
 pub(super) const CHANNEL: &str = "'ventricle_' || CAST(CAST(quote_ident(current_schema()) AS regnamespace) AS oid)";
-/// What is told of a changed row: what kind of change it is, by the state the job is now in, and which job.
+/// What is told of a changed row: what kind of change it is, by the state the job is now in, which job, and whose.
 const NEWS: &str = "CASE WHEN state = 'queued' THEN 'queued' WHEN state = 'running' AND cancel_requested THEN 'cancel' ELSE 'changed' END
-    || ' ' || id";
+    || ' ' || id || ' ' || owner";
 
 /// The database behind a store.
 #[derive(Debug, Clone)]

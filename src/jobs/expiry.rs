@@ -24,11 +24,13 @@ impl Store {
         let sql = "DELETE FROM jobs WHERE state IN ('succeeded', 'failed', 'cancelled') AND id IN (
                 SELECT id FROM jobs WHERE expires_at <= {now} ORDER BY expires_at LIMIT $1 {skip_locked}
             )
-            RETURNING id, {notify}";
+            RETURNING id, owner, {notify}";
         let rows = self.inner.database.fetch(sql, values![JOBS_PER_STEP]).await?;
-        let expired = rows.iter().map(|row| parse_id(&row.get::<String>(0)?)).collect::<Result<Vec<_>, _>>()?;
-        for id in &expired {
-            self.inner.watchers.announce(*id);
+        let mut expired = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let id = parse_id(&row.get::<String>(0)?)?;
+            self.inner.watchers.announce_of(id, &row.get::<String>(1)?);
+            expired.push(id);
         }
         metrics::counter!("ventricle_jobs_expired_total").increment(expired.len() as u64);
         Ok(expired)

@@ -9,6 +9,7 @@ use super::{
     error::StoreError,
     job::Job,
     store::{Inner, Store, parse_id},
+    watch::Change,
 };
 use std::{
     collections::HashMap,
@@ -29,7 +30,12 @@ pub enum News {
     /// A job is new or has changed.
     Changed(Arc<Job>),
     /// A job and its data are gone.
-    Deleted(Uuid),
+    Deleted {
+        /// Which.
+        id: Uuid,
+        /// Whose it was, where that is still known.
+        owner: Option<Arc<str>>,
+    },
     /// Changes may have been missed: the list is to be read again.
     Missed,
 }
@@ -48,7 +54,7 @@ impl Store {
 
     /// The jobs that are not finished, and those that are newer than all of the look before, with their versions.
     async fn look(&self, before: Option<&Look>) -> Result<Look, StoreError> {
-        let sql = "SELECT id, version FROM jobs WHERE state IN ('queued', 'running') OR id > $1";
+        let sql = "SELECT id, version, owner FROM jobs WHERE state IN ('queued', 'running') OR id > $1";
         let newest = match before {
             Some(look) => look.newest,
             None => match self.inner.database.fetch_one("SELECT MAX(id) FROM jobs", vec![]).await?.map(|row| row.get(0)).transpose()? {
@@ -57,16 +63,19 @@ impl Store {
             },
         };
         let rows = self.inner.database.fetch(sql, values![newest]).await?;
-        let versions =
-            rows.iter().map(|row| Ok((parse_id(&row.get::<String>(0)?)?, row.get(1)?))).collect::<Result<HashMap<_, _>, StoreError>>()?;
+        let versions = rows.iter().map(|row| {
+            let owner: Arc<str> = row.get::<String>(2)?.into();
+            Ok((parse_id(&row.get::<String>(0)?)?, (row.get(1)?, owner)))
+        });
+        let versions = versions.collect::<Result<HashMap<_, _>, StoreError>>()?;
         Ok(Look { newest: versions.keys().copied().fold(newest, Ord::max), versions })
     }
 }
 
 /// The rows as they were when they were looked at.
 struct Look {
-    /// Of jobs that were not finished.
-    versions: HashMap<Uuid, i64>,
+    /// Of jobs that were not finished: versions and owners.
+    versions: HashMap<Uuid, (i64, Arc<str>)>,
     newest: Uuid,
 }
 
@@ -77,12 +86,12 @@ impl Look {
             self.versions.remove(&job.id);
             return false;
         }
-        self.versions.insert(job.id, job.version) == Some(job.version)
+        self.versions.insert(job.id, (job.version, job.owner.as_str().into())).is_some_and(|(version, _)| version == job.version)
     }
 }
 
 /// Tells listeners while the store lives.
-async fn run(store: Weak<Inner>, mut changes: broadcast::Receiver<Option<Uuid>>, listeners: broadcast::Sender<News>) {
+async fn run(store: Weak<Inner>, mut changes: broadcast::Receiver<Option<Change>>, listeners: broadcast::Sender<News>) {
     let Some((shared, poll)) = store.upgrade().map(|inner| (inner.database.is_shared(), inner.settings.poll)) else { return };
     let mut looks = interval(poll);
     looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -90,7 +99,7 @@ async fn run(store: Weak<Inner>, mut changes: broadcast::Receiver<Option<Uuid>>,
     loop {
         let changed = tokio::select! {
             change = changes.recv() => match change {
-                Ok(Some(id)) => Some(vec![id]),
+                Ok(Some(change)) => Some(vec![change]),
                 Ok(None) | Err(RecvError::Lagged(_)) => None,
                 Err(RecvError::Closed) => return,
             },
@@ -115,16 +124,16 @@ async fn run(store: Weak<Inner>, mut changes: broadcast::Receiver<Option<Uuid>>,
 }
 
 /// The jobs as they now are, but for those that were told already.
-async fn read(store: &Store, changed: Vec<Uuid>, known: &mut Option<Look>) -> Vec<News> {
+async fn read(store: &Store, changed: Vec<Change>, known: &mut Option<Look>) -> Vec<News> {
     let mut news = Vec::with_capacity(changed.len());
-    for id in changed {
+    for Change { id, owner } in changed {
         match store.get(id).await {
             Ok(Some(job)) => {
                 if !known.as_mut().is_some_and(|known| known.told(&job)) {
                     news.push(News::Changed(Arc::new(job)));
                 }
             }
-            Ok(None) => news.push(News::Deleted(id)),
+            Ok(None) => news.push(News::Deleted { id, owner }),
             Err(error) => {
                 tracing::debug!(%error, "a changed job could not be read for those who listen");
                 news.push(News::Missed);
@@ -135,7 +144,7 @@ async fn read(store: &Store, changed: Vec<Uuid>, known: &mut Option<Look>) -> Ve
 }
 
 /// The jobs that are new, have changed or are finished since the rows were last looked at, and the rows as they now are.
-async fn found(store: &Store, known: &mut Option<Look>) -> Vec<Uuid> {
+async fn found(store: &Store, known: &mut Option<Look>) -> Vec<Change> {
     let now = match store.look(known.as_ref()).await {
         Ok(now) => now,
         Err(error) => {
@@ -147,9 +156,9 @@ async fn found(store: &Store, known: &mut Option<Look>) -> Vec<Uuid> {
         *known = Some(now);
         return vec![];
     };
-    let new = now.versions.iter().filter(|(id, version)| before.versions.get(id) != Some(version)).map(|(id, _)| *id);
-    let finished = before.versions.keys().filter(|id| !now.versions.contains_key(id)).copied();
-    let changed = new.chain(finished).collect();
+    let new = now.versions.iter().filter(|(id, (version, _))| before.versions.get(id).is_none_or(|(before, _)| before != version));
+    let finished = before.versions.iter().filter(|(id, _)| !now.versions.contains_key(id));
+    let changed = new.chain(finished).map(|(id, (_, owner))| Change { id: *id, owner: Some(Arc::clone(owner)) }).collect();
     // What is read now is compared with what was told, not with what was just seen.
     *known = Some(Look { versions: before.versions, newest: now.newest });
     changed

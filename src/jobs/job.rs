@@ -62,6 +62,8 @@ pub struct JobError {
 pub struct Job {
     /// UUID version 7: ids of later jobs sort after those of earlier ones.
     pub id: Uuid,
+    /// Whose it is.
+    pub owner: String,
     /// Where the job is in its life.
     pub state: State,
     /// Part of the work done, 0 to 1. 1 when succeeded; where it stopped when failed or cancelled.
@@ -162,6 +164,8 @@ pub struct ListQuery {
     pub state: Option<State>,
     /// Only jobs of this study.
     pub study_instance_uid: Option<String>,
+    /// Only jobs of this owner.
+    pub owner: Option<String>,
     /// At most so many; 0 means [`ListQuery::DEFAULT_LIMIT`], more than [`ListQuery::LARGEST_LIMIT`] means that.
     pub limit: u32,
     /// [`Page::next_cursor`] of the page before.

@@ -1,7 +1,7 @@
 //! Who hears of the changes that other nodes make, on PostgreSQL.
 //!
 //! Every statement that changes a job tells so by `NOTIFY` in its own transaction (the fragment `{notify}`): `queued`, `changed` or `cancel`,
-//! and the job's id. Each store listens on one connection of its own. What is heard is a hint that shortens waiting, never the only way to
+//! the job's id and its owner. Each store listens on one connection of its own. What is heard is a hint that shortens waiting, never the only way to
 //! learn something: free workers and waiting callers look by themselves, and a heartbeat returns the wish to cancel. So nothing is lost when
 //! the connection is, or when something between (a pooler) does not carry notifications.
 
@@ -75,7 +75,7 @@ fn look_again(store: &Weak<Inner>) {
 
 fn act(store: &Weak<Inner>, news: &str) {
     let Some(store) = store.upgrade().map(|inner| Store { inner }) else { return };
-    let Some((kind, id)) = read(news) else {
+    let Some((kind, id, owner)) = read(news) else {
         tracing::debug!("something was told that is not understood");
         return;
     };
@@ -89,13 +89,14 @@ fn act(store: &Weak<Inner>, news: &str) {
         // What a later version may tell is at least a change.
         _ => {}
     }
-    store.inner.watchers.announce(id);
+    store.inner.watchers.announce_of(id, owner);
 }
 
-/// The kind of change and the job.
-fn read(news: &str) -> Option<(&str, Uuid)> {
-    let (kind, id) = news.split_once(' ')?;
-    Some((kind, Uuid::parse_str(id).ok()?))
+/// The kind of change, the job, and whose it is.
+fn read(news: &str) -> Option<(&str, Uuid, &str)> {
+    let (kind, rest) = news.split_once(' ')?;
+    let (id, owner) = rest.split_once(' ')?;
+    Some((kind, Uuid::parse_str(id).ok()?, owner))
 }
 
 #[cfg(test)]
@@ -103,10 +104,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn news_are_a_kind_and_a_job() {
+    fn news_are_a_kind_a_job_and_its_owner() {
         let id = Uuid::now_v7();
-        assert_eq!(read(&format!("queued {id}")), Some(("queued", id)));
+        assert_eq!(read(&format!("queued {id} St Mary's")), Some(("queued", id, "St Mary's")));
         assert_eq!(read("queued"), None);
-        assert_eq!(read("queued 7"), None);
+        assert_eq!(read("queued 7 anonymous"), None);
     }
 }

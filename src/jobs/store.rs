@@ -35,7 +35,7 @@ pub(super) const SUBJECT: &str = "subject";
 
 /// What every read of a job selects. The place in the queue is counted only where there is one.
 const SELECT: &str = "
-    SELECT id, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, expires_at, error,
+    SELECT id, owner, state, progress, stage, gates_done, gates_total, attempts, version, created_at, started_at, finished_at, expires_at, error,
         study_instance_uid, cancel_requested, summary, {now} AS read_at,
         EXISTS (SELECT 1 FROM blobs WHERE blobs.job_id = jobs.id AND blobs.name = 'input') AS input_kept,
         CASE WHEN state = 'queued' THEN (
@@ -130,10 +130,28 @@ impl Store {
         self.inner.queue.reserve(bytes)
     }
 
+    /// Seconds until more may be accepted, from the measured rate.
+    pub fn retry_after_s(&self) -> u64 {
+        self.inner.queue.full().retry_after_s
+    }
+
     /// A job.
     pub async fn get(&self, id: Uuid) -> Result<Option<Job>, StoreError> {
         let sql = format!("{SELECT} WHERE id = $1");
         self.inner.database.fetch_one(&sql, values![id]).await?.map(|row| self.job(&row)).transpose()
+    }
+
+    /// Whose a job is.
+    pub async fn owner(&self, id: Uuid) -> Result<Option<String>, StoreError> {
+        let row = self.inner.database.fetch_one("SELECT owner FROM jobs WHERE id = $1", values![id]).await?;
+        row.map(|row| row.get(0)).transpose()
+    }
+
+    /// How many jobs of an owner wait.
+    pub async fn queued_of(&self, owner: &str) -> Result<u64, StoreError> {
+        let sql = "SELECT COUNT(*) FROM jobs WHERE owner = $1 AND state = 'queued'";
+        let row = self.inner.database.fetch_one(sql, values![owner]).await?;
+        row.map_or(Ok(0), |row| row.get::<i64>(0)).map(|count| count as u64)
     }
 
     /// A job that is known to be there.
@@ -153,11 +171,12 @@ impl Store {
         } as usize;
         let sql = format!(
             "{SELECT} WHERE ($1 IS NULL OR state = $1) AND ($2 IS NULL OR study_instance_uid = $2) AND ($3 IS NULL OR id < $3)
-            ORDER BY id DESC LIMIT $4"
+                AND ($4 IS NULL OR owner = $4)
+            ORDER BY id DESC LIMIT $5"
         );
         let state = query.state.map(|state| state.name().to_owned());
         let cursor = query.cursor.map(|id| id.to_string());
-        let values = values![state, query.study_instance_uid, cursor, limit as i64 + 1];
+        let values = values![state, query.study_instance_uid, cursor, query.owner, limit as i64 + 1];
         let rows = self.inner.database.fetch(&sql, values).await?;
         let mut jobs = rows.iter().map(|row| self.job(row)).collect::<Result<Vec<_>, _>>()?;
         let more = jobs.len() > limit;
@@ -198,11 +217,13 @@ impl Store {
             self.inner.watchers.announce(id);
             return Ok(Deletion::Cancelling(job));
         }
-        let delete = "DELETE FROM jobs WHERE id = $1 AND state IN ('succeeded', 'failed', 'cancelled') RETURNING {notify}";
-        let deleted = transaction.fetch_one(&database.render(delete), values![id]).await?.is_some();
+        let delete = "DELETE FROM jobs WHERE id = $1 AND state IN ('succeeded', 'failed', 'cancelled') RETURNING owner, {notify}";
+        let deleted = transaction.fetch_one(&database.render(delete), values![id]).await?;
+        let owner = deleted.map(|row| row.get::<String>(0)).transpose()?;
         transaction.commit().await?;
-        self.inner.watchers.announce(id);
-        Ok(if deleted { Deletion::Deleted } else { Deletion::NotFound })
+        let Some(owner) = owner else { return Ok(Deletion::NotFound) };
+        self.inner.watchers.announce_of(id, &owner);
+        Ok(Deletion::Deleted)
     }
 
     /// A result of a job by name: `report`, `surfaces.glb`, `gates/{n}/endocardial.glb`, `gates/{n}/epicardial.glb`,
@@ -315,6 +336,7 @@ impl Store {
         let summary = row.named::<Option<String>>("summary")?;
         Ok(Job {
             id,
+            owner: row.named("owner")?,
             state,
             progress,
             stage: row.named("stage")?,

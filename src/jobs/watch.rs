@@ -2,7 +2,7 @@
 
 use std::{
     collections::HashMap,
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 use tokio::sync::{broadcast, watch};
 use uuid::Uuid;
@@ -14,7 +14,15 @@ const BACKLOG: usize = 1024;
 #[derive(Debug)]
 pub(super) struct Watchers {
     by_job: Mutex<HashMap<Uuid, watch::Sender<()>>>,
-    all: broadcast::Sender<Option<Uuid>>,
+    all: broadcast::Sender<Option<Change>>,
+}
+
+/// A job that has changed.
+#[derive(Debug, Clone)]
+pub(super) struct Change {
+    pub(super) id: Uuid,
+    /// Whose it is, where that is known without the row, which may be gone.
+    pub(super) owner: Option<Arc<str>>,
 }
 
 impl Default for Watchers {
@@ -42,7 +50,7 @@ impl Watchers {
     }
 
     /// Sees which jobs change from now on; `None`: any may have.
-    pub(super) fn watch_all(&self) -> broadcast::Receiver<Option<Uuid>> {
+    pub(super) fn watch_all(&self) -> broadcast::Receiver<Option<Change>> {
         self.all.subscribe()
     }
 
@@ -57,7 +65,18 @@ impl Watchers {
 
     /// The job has changed.
     pub(super) fn announce(&self, id: Uuid) {
-        drop(self.all.send(Some(id)));
+        self.tell(Change { id, owner: None });
+    }
+
+    /// The job of this owner has changed, or is gone.
+    pub(super) fn announce_of(&self, id: Uuid, owner: &str) {
+        self.tell(Change { id, owner: Some(owner.into()) });
+    }
+
+    fn tell(&self, change: Change) {
+        let id = change.id;
+        // Nobody may be watching all jobs.
+        drop(self.all.send(Some(change)));
         if let Some(sender) = self.by_job().get(&id) {
             sender.send_replace(());
         }

@@ -99,5 +99,5 @@ fn an_open_address_is_refused_with_the_reason() {
     let output = ventricle().args(["serve", "--listen", "0.0.0.0:0"]).output().unwrap();
     assert!(!output.status.success());
     let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.contains("not a loopback address") && said.contains("--behind-authenticating-proxy"), "{said}");
+    assert!(said.contains("not a loopback address") && said.contains("--insecure-no-auth"), "{said}");
 }
