@@ -39,8 +39,8 @@ COPY --from=build /build/target/release/ventricle /usr/local/bin/ventricle
 COPY LICENSE LICENSE-MIT LICENSE-APACHE /usr/share/doc/ventricle/
 USER ventricle
 WORKDIR /data
-# The port is open to the container's network, and the service refuses that until it is told that something before it encrypts and
-# authenticates: run with -e VENTRICLE_BEHIND_AUTHENTICATING_PROXY=true where that is so.
+# The port is open to the container's network, and the service refuses that until there are keys (`ventricle keys add` on the volume), an OpenID
+# provider, or the operator's word that something before it authenticates (-e VENTRICLE_INSECURE_NO_AUTH=true).
 ENV VENTRICLE_LISTEN=0.0.0.0:8080 VENTRICLE_DATA_DIR=/data VENTRICLE_LOG_FORMAT=json
 EXPOSE 8080
 VOLUME /data

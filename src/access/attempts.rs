@@ -8,9 +8,7 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
-/// Refusals of an address that are answered one by one; then one every [`PER_MINUTE`]th of a minute.
-const AT_ONCE: NonZeroU32 = NonZeroU32::new(20).expect("it is not zero");
-/// Refusals a minute after them.
+/// Refusals a minute of an address, and as many at once, if nothing else is said: who mistypes a key notices, who tries keys gains nothing.
 const PER_MINUTE: NonZeroU32 = NonZeroU32::new(20).expect("it is not zero");
 /// After so many refusals addresses of long ago are forgotten.
 const TIDY_EVERY: u64 = 1000;
@@ -23,12 +21,16 @@ pub struct Attempts {
 
 impl Default for Attempts {
     fn default() -> Self {
-        let quota = Quota::per_minute(PER_MINUTE).allow_burst(AT_ONCE);
-        Self { refusals: RateLimiter::hashmap(quota), seen: AtomicU64::new(0) }
+        Self::new(PER_MINUTE)
     }
 }
 
 impl Attempts {
+    /// With so many refusals a minute, and as many at once.
+    pub fn new(per_minute: NonZeroU32) -> Self {
+        Self { refusals: RateLimiter::hashmap(Quota::per_minute(per_minute)), seen: AtomicU64::new(0) }
+    }
+
     /// Counts a refusal of an address; where there were too many, seconds until the next may come.
     pub fn refused(&self, address: IpAddr) -> Option<u64> {
         if self.seen.fetch_add(1, Ordering::Relaxed) % TIDY_EVERY == TIDY_EVERY - 1 {
@@ -55,7 +57,7 @@ mod tests {
     fn an_address_is_told_to_wait_after_too_many_and_others_are_not() {
         let attempts = Attempts::default();
         let (one, other) = ("192.0.2.1".parse().unwrap(), "192.0.2.2".parse().unwrap());
-        assert!((0..AT_ONCE.get()).all(|_| attempts.refused(one).is_none()));
+        assert!((0..PER_MINUTE.get()).all(|_| attempts.refused(one).is_none()));
         let wait_s = attempts.refused(one).unwrap();
         assert!((1..=4).contains(&wait_s), "{wait_s}");
         assert_eq!(attempts.refused(other), None);
@@ -64,7 +66,7 @@ mod tests {
     #[test]
     fn a_site_is_one_however_many_addresses_it_has() {
         let attempts = Attempts::default();
-        for host in 0..AT_ONCE.get() {
+        for host in 0..PER_MINUTE.get() {
             assert_eq!(attempts.refused(format!("2001:db8::{host:x}").parse().unwrap()), None);
         }
         assert!(attempts.refused("2001:db8::ffff".parse().unwrap()).is_some());

@@ -159,6 +159,12 @@ impl Access {
         Self { keyring, issuer, attempts: Attempts::default(), allowances }
     }
 
+    /// With another limit on the refusals of an address.
+    #[must_use]
+    pub fn with_attempts(self, attempts: Attempts) -> Self {
+        Self { attempts, ..self }
+    }
+
     /// Asks nobody.
     pub fn open() -> Self {
         Self::new(None, None, Allowances::default())

@@ -1,6 +1,6 @@
 //! Settings of who may come in, and of how much each may use.
 
-use crate::access::{Expected, IssuerSettings, Standing};
+use crate::access::{Attempts, Expected, IssuerSettings, Standing};
 use clap::{Args, builder::BoolishValueParser};
 use std::{
     net::{IpAddr, SocketAddr},
@@ -64,6 +64,10 @@ pub struct AccessSettings {
     /// Jobs of one owner that may wait, where the key says nothing else; more are answered 429. 0: as many as of all.
     #[arg(long, env = "VENTRICLE_QUEUED_JOBS_PER_OWNER", default_value = "0")]
     pub queued_jobs_per_owner: u64,
+
+    /// Refused keys and tokens a minute of one address, and as many at once; then it is answered 429. Right ones are let in all the same.
+    #[arg(long, env = "VENTRICLE_REFUSALS_PER_MINUTE", default_value = "20", value_parser = clap::value_parser!(u32).range(1..))]
+    pub refusals_per_minute: u32,
 
     /// File to which is added who did what, when, with which job, one JSON object a line. Opened anew on SIGHUP. None by default.
     #[arg(long, env = "VENTRICLE_AUDIT_LOG")]
@@ -149,6 +153,11 @@ impl AccessSettings {
             leeway_s: self.oidc_leeway_seconds,
         };
         Some(IssuerSettings { expected, keys_url: self.oidc_keys_url.clone() })
+    }
+
+    /// How often an address may be refused.
+    pub fn attempts(&self) -> Attempts {
+        NonZeroU32::new(self.refusals_per_minute).map(Attempts::new).unwrap_or_default()
     }
 
     /// What each caller may use whose key says nothing else.

@@ -94,7 +94,13 @@ const REFUSED_BYTES: u64 = 8 << 20;
 pub(super) fn needs(method: &Method, matched: Option<&str>) -> Needs {
     let Some(path) = matched else { return PUBLIC };
     let method = if method == Method::HEAD { "GET" } else { method.as_str() };
-    ROUTES.iter().find(|(of, route, _)| *of == method && *route == path).map_or(ADMIN, |(_, _, needs)| *needs)
+    let of_path = || ROUTES.iter().filter(|(_, route, _)| *route == path);
+    match of_path().find(|(of, ..)| *of == method) {
+        Some((_, _, needs)) => *needs,
+        // A method that a public path does not know is answered 405 to everybody.
+        None if of_path().count() > 0 && of_path().all(|(_, _, needs)| *needs == PUBLIC) => PUBLIC,
+        None => ADMIN,
+    }
 }
 
 /// The caller of a guarded route.

@@ -28,7 +28,8 @@ pub(super) fn access(settings: &ServeSettings) -> Result<Access, ServeError> {
         }
         None => None,
     };
-    Ok(Access::new(keyring.map(Arc::new), issuer, Allowances::new(settings.access.standing())))
+    let access = Access::new(keyring.map(Arc::new), issuer, Allowances::new(settings.access.standing()));
+    Ok(access.with_attempts(settings.access.attempts()))
 }
 
 /// Fetches from a provider that the operator names: it may be in the hospital's own network.

@@ -35,7 +35,7 @@ use uuid::Uuid;
     post, path = "/v1/reconstructions/{id}/again", operation_id = "reconstructAgain", tag = "reconstructions",
     params(
         ("id" = String, Path, format = "uuid", description = "Id of the earlier reconstruction"),
-        ("Idempotency-Key" = Option<String>, Header, description = "Up to 255 visible ASCII characters of the client's choice, one for each request meant."),
+        ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[ -~]+$", description = "Up to 255 visible ASCII characters of the client's choice, one for each request meant."),
     ),
     request_body(content = Option<parameters::Request>, description = "Parameters; may be left out", content_type = "application/json"),
     responses(

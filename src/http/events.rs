@@ -12,11 +12,27 @@ use axum::{
 };
 use futures_util::{Stream, stream};
 use std::{convert::Infallible, time::Duration};
+use utoipa::ToSchema;
 
 /// Time between comments that keep idle connections open: below the usual 60 s of proxies.
 pub(super) const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Longest single wait for a change; only bounds how long a forgotten wait lives.
 const WAIT: Duration = Duration::from_mins(1);
+
+/// The fields of an event; OpenAPI 3.1 has no other word for a stream.
+#[derive(Debug, ToSchema)]
+#[expect(dead_code, reason = "documents the stream")]
+pub(super) struct ProgressEvent {
+    /// What kind of event it is.
+    #[schema(example = "progress")]
+    event: String,
+    /// The job's version.
+    #[schema(example = "7")]
+    id: String,
+    /// The job as JSON: the schema `Job`.
+    #[schema(content_media_type = "application/json")]
+    data: String,
+}
 
 /// Follows a reconstruction.
 ///
@@ -30,7 +46,7 @@ const WAIT: Duration = Duration::from_mins(1);
         ("Last-Event-ID" = Option<i64>, Header, description = "Id of the last event received"),
     ),
     responses(
-        (status = 200, description = "The stream; the data of each event is a job", body = JobView, content_type = "text/event-stream"),
+        (status = 200, description = "The stream; the data of each event is a job", body = ProgressEvent, content_type = "text/event-stream"),
         (status = 204, description = "The job is finished and its last event was received"),
         (status = 404, description = "No such reconstruction", body = Problem, content_type = "application/problem+json"),
         (status = 406, description = "`Accept` excludes `text/event-stream`", body = Problem, content_type = "application/problem+json"),

@@ -47,6 +47,8 @@ pub struct Checks {
 
 /// One thing readiness rests on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+// Reports have checks too, which the contract calls by that name.
+#[schema(as = ReadinessCheck)]
 pub struct Check {
     /// Whether it is as it should be.
     pub ok: bool,

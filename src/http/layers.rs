@@ -69,9 +69,10 @@ fn finish(mut response: Response, method: &Method, path: String, id: &str) -> Re
     let problem = response.extensions_mut().remove::<Problem>().unwrap_or_else(|| Problem::of_status(status));
     let mut finished = Problem { instance: Some(path), request_id: Some(id.to_owned()), ..problem }.into_response();
     *finished.status_mut() = status;
-    for (name, value) in response.headers() {
-        if name != header::CONTENT_TYPE && name != header::CONTENT_LENGTH {
-            finished.headers_mut().insert(name, value.clone());
+    for name in response.headers().keys().filter(|name| *name != header::CONTENT_TYPE && *name != header::CONTENT_LENGTH) {
+        finished.headers_mut().remove(name);
+        for value in response.headers().get_all(name) {
+            finished.headers_mut().append(name, value.clone());
         }
     }
     if method == Method::HEAD {

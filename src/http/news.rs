@@ -25,6 +25,18 @@ pub(super) struct DeletedView {
     id: Uuid,
 }
 
+/// The fields of an event; OpenAPI 3.1 has no other word for a stream.
+#[derive(Debug, ToSchema)]
+#[expect(dead_code, reason = "documents the stream")]
+pub(super) struct NewsEvent {
+    /// `hello`, `job` or `deleted`.
+    #[schema(example = "job")]
+    event: String,
+    /// What it is about as JSON: nothing, the schema `Job`, or an `id`.
+    #[schema(content_media_type = "application/json")]
+    data: String,
+}
+
 /// Follows all reconstructions.
 ///
 /// Server-sent events. `hello` (an empty object) comes first, and again when changes may have been missed: read the list now, what happens later will be told.
@@ -33,7 +45,7 @@ pub(super) struct DeletedView {
 #[utoipa::path(
     get, path = "/v1/reconstructions/events", operation_id = "followReconstructions", tag = "reconstructions",
     responses(
-        (status = 200, description = "The stream; the data of each event `job` is a job", body = JobView, content_type = "text/event-stream"),
+        (status = 200, description = "The stream; the data of each event `job` is a job", body = NewsEvent, content_type = "text/event-stream"),
         (status = 406, description = "`Accept` excludes `text/event-stream`", body = Problem, content_type = "application/problem+json"),
     ),
 )]

@@ -103,7 +103,7 @@ pub(super) struct JsonGrid {
     post, path = "/v1/reconstructions", operation_id = "submitReconstruction", tag = "reconstructions",
     params(
         SubmitQuery,
-        ("Idempotency-Key" = Option<String>, Header, description = "Up to 255 visible ASCII characters of the client's choice, one for each request meant."),
+        ("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[ -~]+$", description = "Up to 255 visible ASCII characters of the client's choice, one for each request meant."),
     ),
     request_body(description = "One study. Multipart bodies hold several DICOM files (one multi-frame, or one file a slice or gate) or one NIfTI file, \
                                 and may have a part named `parameters` with JSON.", content(
@@ -230,7 +230,7 @@ pub(super) fn located(status: StatusCode, job: &Job) -> Response {
 #[serde(deny_unknown_fields)]
 pub(super) struct Listing {
     /// Only reconstructions in this state.
-    #[param(inline)]
+    #[param(inline, nullable = false)]
     state: Option<JobState>,
     /// Only reconstructions of this DICOM study.
     study_instance_uid: Option<String>,

@@ -49,7 +49,7 @@ pub(super) async fn slices(State(state): State<AppState>, Id(id): Id, headers: H
 #[serde(deny_unknown_fields)]
 pub(super) struct Wanted {
     /// Which slices.
-    #[param(inline, default = "short_axis")]
+    #[param(inline, nullable = false, default = "short_axis")]
     plane: Option<PlaneName>,
 }
 

@@ -33,6 +33,7 @@ const NUMERICS: &[&str] =
 
 /// `paper` and `accuracy` are not among them: nothing of the service needs them.
 const EVERYTHING: &[&str] = &[
+    "access",
     "volume",
     "mesh",
     "study",
@@ -250,7 +251,29 @@ const RULES: &[Rule] = &[
             "url",
         ]),
     },
-    Rule { module: "config", crate_modules: &["dimse"], external: External::AllBut(&["axum", "dicom_ul", "sqlx", "tokio"]) },
+    // Who calls, whatever the protocol: it is given a header's value and an address, and someone who fetches.
+    Rule {
+        module: "access",
+        crate_modules: &["jobs"],
+        external: External::AllBut(&[
+            "axum",
+            "clap",
+            "glam",
+            "hyper",
+            "ndarray",
+            "rayon",
+            "sqlx",
+            "std::env",
+            "tokio_rustls",
+            "ureq",
+            "utoipa",
+        ]),
+    },
+    Rule {
+        module: "config",
+        crate_modules: &["access", "dimse", "jobs"],
+        external: External::AllBut(&["axum", "dicom_ul", "sqlx", "tokio"]),
+    },
     Rule { module: "telemetry", crate_modules: &["config"], external: External::AllBut(&["axum", "sqlx", "std::env"]) },
 ];
 

@@ -834,28 +834,51 @@ export interface components {
             /** @description Where everything about it is, as paths on the service. */
             links: components["schemas"]["Links"];
         };
-        /** @description One thing readiness rests on. */
+        /** @description One measure that a result was judged by. */
         Check: {
-            /** @description Whether it is as it should be. */
-            ok: boolean;
             /**
-             * @description In words.
-             * @example 3 of 100 jobs and 12 of 1024 MiB are waiting
+             * @description The flag that it can raise.
+             * @example truncated
              */
-            detail: string;
+            flag: string;
+            /**
+             * @description What is measured, with its unit; null for a fact, such as a fit that did not come to rest.
+             * @example unseen_percent
+             */
+            measure: string | null;
+            /**
+             * Format: double
+             * @description Its value; null for a fact, and where it is no number.
+             */
+            value: number | null;
+            /**
+             * Format: double
+             * @description Nothing is wrong up to here.
+             */
+            fine: number | null;
+            /**
+             * Format: double
+             * @description The flag is raised from here on.
+             */
+            limit: number | null;
+            /**
+             * Format: double
+             * @description 1 where nothing is wrong, ½ at the limit and for a fact, falling in a straight line between and beyond, to 0 at the least.
+             */
+            score: number;
         };
         /** @description What readiness rests on. */
         Checks: {
             /** @description The database answers. */
-            store: components["schemas"]["Check"];
+            store: components["schemas"]["ReadinessCheck"];
             /** @description Workers run. */
-            workers: components["schemas"]["Check"];
+            workers: components["schemas"]["ReadinessCheck"];
             /** @description There is room in the queue. */
-            queue: components["schemas"]["Check"];
+            queue: components["schemas"]["ReadinessCheck"];
             /** @description There is room on the disk. */
-            disk: components["schemas"]["Check"];
+            disk: components["schemas"]["ReadinessCheck"];
             /** @description The service is not stopping. */
-            service: components["schemas"]["Check"];
+            service: components["schemas"]["ReadinessCheck"];
         };
         /** @description One of the two. */
         ComparedStudy: {
@@ -1518,6 +1541,16 @@ export interface components {
              */
             variation_percent: number | null;
         };
+        /** @description The fields of an event; OpenAPI 3.1 has no other word for a stream. */
+        NewsEvent: {
+            /**
+             * @description `hello`, `job` or `deleted`.
+             * @example job
+             */
+            event: string;
+            /** @description What it is about as JSON: nothing, the schema `Job`, or an `id`. */
+            data: string;
+        };
         /** @description All parameters. */
         ParameterList: {
             /** @description What is used when nothing is given: the preset `clinical`, with the other preset's values of what only that one reads. */
@@ -2113,6 +2146,21 @@ export interface components {
              */
             gates_total: number;
         };
+        /** @description The fields of an event; OpenAPI 3.1 has no other word for a stream. */
+        ProgressEvent: {
+            /**
+             * @description What kind of event it is.
+             * @example progress
+             */
+            event: string;
+            /**
+             * @description The job's version.
+             * @example 7
+             */
+            id: string;
+            /** @description The job as JSON: the schema `Job`. */
+            data: string;
+        };
         /** @description The point-spread function the surfaces were fitted with. */
         PsfSummary: {
             /**
@@ -2169,6 +2217,16 @@ export interface components {
             flags: string[];
             /** @description What the result was judged by, each with where it begins to count and where it is a flag. Empty in reports of versions before 0.2. */
             checks: components["schemas"]["Check"][];
+        };
+        /** @description One thing readiness rests on. */
+        ReadinessCheck: {
+            /** @description Whether it is as it should be. */
+            ok: boolean;
+            /**
+             * @description In words.
+             * @example 3 of 100 jobs and 12 of 1024 MiB are waiting
+             */
+            detail: string;
         };
         /** @description Whether the service can take work. */
         Ready: {
@@ -2749,6 +2807,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description `Accept` excludes DICOM JSON; there is no XML */
             406: {
                 headers: {
@@ -2788,6 +2866,17 @@ export interface operations {
             /** @description Compressed on the way */
             415: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -2861,6 +2950,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description The address holds no UID */
             404: {
                 headers: {
@@ -2909,6 +3018,17 @@ export interface operations {
             /** @description Compressed on the way */
             415: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -2982,6 +3102,37 @@ export interface operations {
                 };
                 content: {
                     "text/plain": string;
+                };
+            };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `admin`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
                 };
             };
             /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
@@ -3197,6 +3348,37 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description Any other problem: 500, or 503 with `Retry-After` when the answer or the database takes too long */
             default: {
                 headers: {
@@ -3244,9 +3426,40 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description `Accept` excludes JSON */
             406: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3340,6 +3553,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description `Accept` excludes JSON */
             406: {
                 headers: {
@@ -3385,6 +3618,17 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description The queue is full or the service is stopping; `Retry-After` says when to try again */
             503: {
                 headers: {
@@ -3422,12 +3666,43 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "text/event-stream": components["schemas"]["Job"];
+                    "text/event-stream": components["schemas"]["NewsEvent"];
+                };
+            };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
                 };
             };
             /** @description `Accept` excludes `text/event-stream` */
             406: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3484,6 +3759,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -3496,6 +3791,17 @@ export interface operations {
             /** @description `Accept` excludes JSON */
             406: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3550,9 +3856,40 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3621,6 +3958,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -3678,6 +4035,17 @@ export interface operations {
             /** @description Parameters unknown or out of range, marks outside of the study, idempotency key used for another request */
             422: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3751,6 +4119,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description One of the two does not exist */
             404: {
                 headers: {
@@ -3781,6 +4169,17 @@ export interface operations {
             /** @description Both are the same (`same_reconstruction`) */
             422: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3819,7 +4218,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "text/event-stream": components["schemas"]["Job"];
+                    "text/event-stream": components["schemas"]["ProgressEvent"];
                 };
             };
             /** @description The job is finished and its last event was received */
@@ -3828,6 +4227,26 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
             };
             /** @description No such reconstruction */
             404: {
@@ -3841,6 +4260,17 @@ export interface operations {
             /** @description `Accept` excludes `text/event-stream` */
             406: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3889,6 +4319,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -3910,6 +4360,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -3957,6 +4418,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -3978,6 +4459,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4025,6 +4517,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4046,6 +4558,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4093,6 +4616,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4114,6 +4657,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4161,6 +4715,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4182,6 +4756,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4229,6 +4814,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4250,6 +4855,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4297,6 +4913,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4318,6 +4954,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4382,6 +5029,26 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4403,6 +5070,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled; or `input_not_kept`: the counts are no longer there */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4450,6 +5128,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or gate */
             404: {
                 headers: {
@@ -4471,6 +5169,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4521,6 +5230,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction, or one of a version before 0.2 (`no_such_result`) */
             404: {
                 headers: {
@@ -4542,6 +5271,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4598,6 +5338,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction or map (`no_such_result`): an ungated study has perfusion and thickness alone */
             404: {
                 headers: {
@@ -4619,6 +5379,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4669,6 +5440,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -4690,6 +5481,17 @@ export interface operations {
             /** @description `not_finished`, `reconstruction_failed` (with the job's problem in `cause`) or `reconstruction_cancelled` */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4740,6 +5542,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -4761,6 +5583,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4811,6 +5644,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction, or one of a version that stored none (`no_such_result`) */
             404: {
                 headers: {
@@ -4832,6 +5685,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4879,6 +5743,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -4900,6 +5784,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -4945,6 +5840,26 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`) */
+            401: {
+                headers: {
+                    /** @description What is asked for */
+                    "WWW-Authenticate"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
             /** @description No such reconstruction */
             404: {
                 headers: {
@@ -4966,6 +5881,17 @@ export interface operations {
             /** @description Not finished, failed or cancelled */
             409: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address */
+            429: {
+                headers: {
+                    /** @description Seconds */
+                    "Retry-After"?: string;
                     [name: string]: unknown;
                 };
                 content: {

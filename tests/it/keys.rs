@@ -1,0 +1,146 @@
+//! Keys as an operator has them: made and revoked by `ventricle keys` while a real service runs, with its audit log.
+
+use crate::served::{Answer, Directory, Served, answer};
+use serde_json::Value;
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+    time::{Duration, Instant},
+};
+
+/// As long as a service may take to notice another file of keys, and as much again.
+const SOON: Duration = Duration::from_secs(10);
+
+fn keys(data: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_ventricle")).arg("keys").args(arguments).arg("--data-dir").arg(data).output().unwrap()
+}
+
+/// Makes a key: its text and its id.
+fn add(data: &Path, arguments: &[&str]) -> (String, String) {
+    let output = keys(data, &[&["add", "--json"], arguments].concat());
+    assert!(output.status.success(), "{output:?}");
+    let made: Value = serde_json::from_slice(&output.stdout).unwrap();
+    (made["key"].as_str().unwrap().to_owned(), made["id"].as_str().unwrap().to_owned())
+}
+
+fn ask(service: &Served, method: &str, path: &str, key: &str) -> Answer {
+    let config = ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_mins(1)));
+    let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", service.url));
+    let request = request.header("authorization", format!("Bearer {key}")).header("prefer", "wait=20").body(()).unwrap();
+    answer(config.build().new_agent().run(request).unwrap())
+}
+
+/// Waits until a key has an answer.
+fn reaches(service: &Served, key: &str, status: u16) {
+    let start = Instant::now();
+    while ask(service, "GET", "/v1/reconstructions", key).status != status {
+        assert!(start.elapsed() < SOON, "not {status} after {SOON:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+}
+
+#[test]
+fn keys_are_made_listed_and_revoked_while_the_service_runs() {
+    let directory = Directory::new("keys");
+    let data = &directory.0;
+    let (first, first_id) = add(data, &["--owner", "St Mary's", "--note", "PACS"]);
+    let service = Served::start(data, &[]);
+    assert_eq!(service.get("/v1/reconstructions").status, 401);
+    assert_eq!(service.get("/healthz").status, 200);
+    assert_eq!(service.get("/readyz").status, 200);
+    assert_eq!(service.get("/metrics").status, 401);
+    assert_eq!(ask(&service, "GET", "/v1/reconstructions", &first).status, 200);
+    assert_eq!(ask(&service, "GET", "/metrics", &first).status, 403);
+    let (second, _) = add(data, &["--owner", "operators", "--scope", "admin", "--expires-days", "1"]);
+    reaches(&service, &second, 200);
+    assert_eq!(ask(&service, "GET", "/metrics", &second).status, 200);
+    let listed = String::from_utf8(keys(data, &["list"]).stdout).unwrap();
+    assert!(
+        listed.contains(&first_id) && listed.contains("St Mary's") && listed.contains("submit,read") && listed.contains("PACS"),
+        "{listed}"
+    );
+    for secret in [&first, &second] {
+        assert!(!listed.contains(secret.rsplit('_').next().unwrap()));
+    }
+    assert!(keys(data, &["revoke", &first_id]).status.success());
+    reaches(&service, &first, 401);
+    let again = keys(data, &["revoke", &first_id]);
+    assert!(!again.status.success() && String::from_utf8_lossy(&again.stderr).contains("There is no key"), "{again:?}");
+    // A file that somebody broke: keys stay as they were, and nobody else comes in.
+    fs::write(data.join("keys.json"), "{").unwrap();
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!(ask(&service, "GET", "/v1/reconstructions", &second).status, 200);
+    service.kill();
+    let refused =
+        Command::new(env!("CARGO_BIN_EXE_ventricle")).args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data).output().unwrap();
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("keys.json"), "{refused:?}");
+}
+
+#[test]
+fn an_open_address_needs_keys_or_a_word() {
+    let directory = Directory::new("exposed");
+    let data = directory.0.to_str().unwrap();
+    let run = |flags: &[&str]| {
+        let command = [&["serve", "--listen", "0.0.0.0:0", "--data-dir", data], flags].concat();
+        let output = Command::new(env!("CARGO_BIN_EXE_ventricle")).args(command).output().unwrap();
+        assert!(!output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let said = run(&[]);
+    assert!(said.contains("ventricle keys add") && said.contains("--insecure-no-auth"), "{said}");
+    add(&directory.0, &["--owner", "ours"]);
+    assert!(run(&["--insecure-no-auth"]).contains("one or the other"));
+    assert!(run(&["--oidc-issuer", "http://login.example", "--oidc-audience", "v"]).contains("https://"));
+    assert!(run(&["--oidc-issuer", "https://login.example"]).contains("--oidc-audience"));
+}
+
+#[test]
+fn the_audit_log_tells_who_did_what_with_which_job_and_is_opened_anew_on_sighup() {
+    let directory = Directory::new("audit");
+    let (data, log) = (&directory.0, directory.0.join("audit.jsonl"));
+    let (key, id) = add(data, &["--owner", "ours"]);
+    let service = Served::start(data, &["--audit-log", log.to_str().unwrap(), "--workers", "1"]);
+    let body = include_bytes!("../../fuzz/corpus/json/u2");
+    let config = ureq::Agent::config_builder().http_status_as_error(false);
+    let post = config.build().new_agent().post(format!("{}/v1/reconstructions?mesh.level=2", service.url));
+    let accepted =
+        answer(post.header("authorization", format!("Bearer {key}")).header("content-type", "application/json").send(&body[..]).unwrap());
+    assert_eq!(accepted.status, 202, "{}", accepted.json());
+    let job = accepted.json()["id"].as_str().unwrap().to_owned();
+    let path = format!("/v1/reconstructions/{job}");
+    ask(&service, "GET", &path, &key);
+    assert_eq!(service.get(&format!("{path}/report")).status, 401);
+    let lines = |expected: usize| -> Vec<Value> {
+        let start = Instant::now();
+        loop {
+            let text = fs::read_to_string(&log).unwrap();
+            let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+            if lines.len() >= expected {
+                return lines;
+            }
+            assert!(start.elapsed() < SOON, "{text}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let told = lines(3);
+    let of = |line: &Value, field: &str| line[field].as_str().unwrap_or_default().to_owned();
+    assert_eq!((of(&told[0], "what"), told[0]["status"].as_u64()), ("POST /v1/reconstructions".to_owned(), Some(202)));
+    assert_eq!((of(&told[0], "who"), of(&told[0], "owner"), of(&told[0], "job")), (id, "ours".to_owned(), job.clone()));
+    assert_eq!((of(&told[1], "what"), of(&told[1], "job")), ("GET /v1/reconstructions/{id}".to_owned(), job.clone()));
+    assert_eq!((told[2]["status"].as_u64(), of(&told[2], "refused")), (Some(401), "credentials_missing".to_owned()));
+    assert!(told[2]["who"].is_null() && of(&told[2], "address") == "127.0.0.1" && !of(&told[2], "request_id").is_empty(), "{}", told[2]);
+    assert!(told.iter().all(|line| of(line, "at").ends_with('Z')));
+    let moved = directory.0.join("audit.1");
+    fs::rename(&log, &moved).unwrap();
+    service.signal("HUP");
+    let start = Instant::now();
+    while !log.exists() {
+        assert!(start.elapsed() < SOON, "no new file");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    ask(&service, "DELETE", &path, &key);
+    let told = lines(1);
+    assert_eq!((of(&told[0], "what"), of(&told[0], "job")), ("DELETE /v1/reconstructions/{id}".to_owned(), job));
+    assert_eq!(fs::read_to_string(moved).unwrap().lines().count(), 3);
+}
