@@ -86,6 +86,7 @@ pub(super) struct MultipartStudy {
 #[expect(dead_code, reason = "documents the body; `intake` reads it")]
 pub(super) struct JsonGrid {
     /// Gates; 1 for an ungated study.
+    #[schema(minimum = 1, maximum = 64)]
     gates: usize,
     /// Slices, rows, columns.
     shape: [usize; 3],

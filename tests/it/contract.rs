@@ -30,7 +30,6 @@ fn run(program: &Path, service: &Served, jobs: &[String; 2], folder: &Path, conf
         .args(["run", &format!("{}/openapi.json", service.url), "--phases", "examples,coverage,fuzzing", "--seed", "1", "--workers", "2"])
         // The stream of all jobs has no end.
         .args(["--exclude-path", "/v1/reconstructions/events", "--request-timeout", "60", "--continue-on-failure", "--no-shrink"])
-        .args(["--checks", "all"])
         .args(arguments)
         .env("SCHEMATHESIS_HOOKS", Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools/schemathesis_hooks.py"))
         .env("VENTRICLE_JOB", &jobs[0])
@@ -38,6 +37,7 @@ fn run(program: &Path, service: &Served, jobs: &[String; 2], folder: &Path, conf
         .output()
         .unwrap();
     let told = String::from_utf8_lossy(&output.stdout);
+    // As `1406 generated, 1406 passed`.
     let cases = told.lines().find_map(|line| line.trim().split_once(" generated")?.0.parse().ok());
     assert!(output.status.success(), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
     cases.unwrap_or_else(|| panic!("how many requests were made is not told:\n{told}"))
@@ -81,7 +81,11 @@ fn schemathesis_finds_no_answer_that_the_contract_does_not_promise() {
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tools/schemathesis.toml");
     let run = |config: Option<&Path>, arguments: &[&str]| run(&program, &service, &jobs, data, config, arguments);
     let allowed = run(Some(&config), &["--mode", "positive", "--header", &header, "--max-examples", "25"]);
-    let forbidden = run(None, &["--mode", "negative", "--header", &header, "--max-examples", "25"]);
+    // Nothing that could be asked wrongly of the phantom. What is forbidden of one part of a request may be right in the others, which for bodies of
+    // bytes no schema says.
+    let negative = ["--mode", "negative", "--exclude-path", "/v1/phantom.dcm", "--exclude-checks", "positive_data_acceptance"];
+    let forbidden =
+        run(None, &[&negative[..], &["--header", &header, "--max-examples", "25", "--suppress-health-check", "filter_too_much"]].concat());
     let without = run(Some(&config), &["--max-examples", "3"]);
     eprintln!("schemathesis: {allowed} requests that the contract allows, {forbidden} that it does not, {without} without a key");
     assert!(allowed + forbidden + without >= CASES, "{allowed}, {forbidden} and {without}");
