@@ -23,6 +23,7 @@
 //! | [`callbacks`] | who is told when a job ends, and where its result is sent |
 //! | [`dimse`] | DICOM's own network protocol: images received, results sent |
 //! | [`http`] | the service |
+//! | [`networks`], [`tls`] | ranges of addresses; certificates, and connections encrypted with them |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod accuracy;
@@ -40,6 +41,7 @@ pub mod http;
 pub mod intake;
 pub mod jobs;
 pub mod mesh;
+pub mod networks;
 pub mod paper;
 pub mod parameters;
 pub mod phantom;
@@ -48,4 +50,5 @@ pub mod report;
 pub mod study;
 pub mod subject;
 pub mod telemetry;
+pub mod tls;
 pub mod volume;

@@ -6,6 +6,7 @@ use super::{
     extract::{Id, Query},
     negotiate,
     problem::Problem,
+    uploads::Room,
     views::{self, Binary, JobListView, JobState, JobView},
     wishes::{Rules, Wishes},
 };
@@ -130,7 +131,7 @@ pub(super) async fn submit(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let (idempotency_key, mut reservation) = match admit(&state, &headers) {
+    let (idempotency_key, mut reservation, room) = match admit(&state, &headers).await {
         Ok(admitted) => admitted,
         Err(refusal) => {
             body::discard(&headers, body, state.limits.body_bytes as u64).await;
@@ -141,7 +142,10 @@ pub(super) async fn submit(
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let (rules, keep_subject) = (Rules::of(&state), state.keep_patient);
-    let parsing = move |limits: &_| receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules, keep_subject);
+    let parsing = move |limits: &_| {
+        let _room = room; // held to the end even if the client goes away
+        receive(content_type.as_deref(), bytes, query, idempotency_key, limits, &rules, keep_subject)
+    };
     let new = state.parse(parsing).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
@@ -149,14 +153,15 @@ pub(super) async fn submit(
     }
 }
 
-/// What the headers of a submission decide: its key and its place in the queue, taken before the body is read.
-fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation), Problem> {
+/// What the headers of a submission decide: its key, its place in the queue and its room in the memory, taken before the body is read.
+async fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation, Room), Problem> {
     negotiate::acceptable(headers, "application/json")?;
     state.accepts_work()?;
     body::plain(headers)?;
     let idempotency_key = idempotency_key(headers)?;
     let announced = body::announced(headers, state.limits.body_bytes as u64)?;
-    Ok((idempotency_key, state.store.reserve(announced)?))
+    let reservation = state.store.reserve(announced)?;
+    Ok((idempotency_key, reservation, state.uploads.room(announced).await?))
 }
 
 /// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.

@@ -5,6 +5,7 @@ pub(crate) mod archived;
 mod callbacks;
 mod comparison;
 mod following;
+mod guarding;
 mod harness;
 mod news;
 mod operating;
