@@ -53,7 +53,7 @@ const STREAMS: u32 = 100;
 /// Requests of HTTP/2 that were taken back before they were looked at (CVE-2023-44487), and errors of the client's making (CVE-2025-8671),
 /// after which the connection is closed.
 const RESETS: usize = 20;
-const ERRORS: usize = 128;
+const ERRORS: usize = 1024;
 /// What a client may send over a stream, and over a connection of HTTP/2, before any of it is read. Beside the memory of uploads, this is
 /// all that a body can take.
 const STREAM_WINDOW_BYTES: u32 = 256 << 10;

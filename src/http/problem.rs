@@ -1,6 +1,11 @@
 //! Problem documents (RFC 9457): the one shape of every refusal, and the only place where errors of the layers below become status codes.
 
-use super::{body::BodyError, health::Checks, negotiate::NotAcceptable, uploads::UploadsFull};
+use super::{
+    body::BodyError,
+    health::Checks,
+    negotiate::NotAcceptable,
+    uploads::{RETRY_AFTER_S, UploadsFull},
+};
 use crate::{
     archive::ArchiveError,
     export::ExportError,
@@ -311,8 +316,7 @@ impl From<ComparisonError> for Problem {
 
 impl From<UploadsFull> for Problem {
     fn from(error: UploadsFull) -> Self {
-        let retry_after_s = Some(error.retry_after_s());
-        Self { retry_after_s, ..Self::new(StatusCode::SERVICE_UNAVAILABLE, "uploads_full", error.to_string()) }
+        Self { retry_after_s: Some(RETRY_AFTER_S), ..Self::new(StatusCode::SERVICE_UNAVAILABLE, "uploads_full", error.to_string()) }
     }
 }
 

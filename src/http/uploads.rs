@@ -9,6 +9,8 @@ use tokio::{
 
 /// What memory is counted in.
 const BLOCK_BYTES: u64 = 1 << 10;
+/// Seconds after which there may be room.
+pub(super) const RETRY_AFTER_S: u64 = 5;
 /// How long a body waits for room, if nothing else is said.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -38,15 +40,6 @@ pub(super) struct Room {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("As many studies are being received as the service takes at once, or has memory for. Send the request again in {RETRY_AFTER_S} s.")]
 pub(super) struct UploadsFull;
-
-impl UploadsFull {
-    /// Seconds after which there may be room.
-    pub(super) fn retry_after_s(self) -> u64 {
-        RETRY_AFTER_S
-    }
-}
-
-const RETRY_AFTER_S: u64 = 5;
 
 impl Uploads {
     /// At most so many at once, which together hold at most so many bytes.

@@ -45,7 +45,7 @@ fn goaway(mut read: &[u8]) -> Option<u8> {
 async fn clients_that_take_back_what_they_sent_are_disconnected() {
     let service = Service::start(&[], 1);
     // CVE-2023-44487: requests that are reset at once. CVE-2025-8671: requests that the server is made to reset.
-    let attacks = [("reset", RST_STREAM, &[0, 0, 0, 8][..], 200_u32), ("made to reset", WINDOW_UPDATE, &[0, 0, 0, 0], 1000)];
+    let attacks = [("reset", RST_STREAM, &[0, 0, 0, 8][..], 200_u32), ("made to reset", WINDOW_UPDATE, &[0x7f, 0xff, 0xff, 0xff], 2500)];
     for (attack, kind, payload, times) in attacks {
         let mut bytes = PREFACE.to_vec();
         for stream in (1..).step_by(2).take(times as usize) {
