@@ -81,6 +81,13 @@ impl Service {
         Self::start(&[&own, flags].concat(), 1)
     }
 
+    /// The most memory it has held so far, in MiB.
+    pub(super) fn peak_mib(&self) -> f64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmHWM:")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+    }
+
     pub(super) fn log(&self) -> String {
         fs::read_to_string(self.data.0.join("log")).unwrap()
     }

@@ -123,3 +123,30 @@ async fn no_more_connections_are_held_than_may_be() {
     let room = async { while raw(address, b"GET /healthz HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n").await.is_empty() {} };
     timeout(PATIENCE, room).await.expect("ended connections make room");
 }
+
+#[tokio::test]
+async fn many_large_bodies_at_once_take_no_more_memory_than_they_may() {
+    const BODY_BYTES: usize = 16 << 20;
+    let service = Service::start(&["--max-body-mb", "16", "--max-upload-memory-mb", "32", "--upload-seconds", "2"], 1);
+    let before_mib = service.peak_mib();
+    let clients: Vec<_> = (0..16)
+        .map(|_| {
+            let address = service.address;
+            // All but the end, so that what is read is held until its time is over.
+            let body = stream::iter([Ok::<_, Infallible>(Bytes::from(vec![0; BODY_BYTES - 1]))]).chain(stream::pending());
+            let request = Request::post("/v1/reconstructions").header("host", "test").header("content-length", BODY_BYTES);
+            let request = request.body(Body::from_stream(body)).unwrap();
+            tokio::spawn(async move { client::ask(TcpStream::connect(address).await.unwrap(), request).await.0 })
+        })
+        .collect();
+    let mut answers = Vec::new();
+    for client in clients {
+        answers.push(client.await.unwrap());
+    }
+    assert!(answers.contains(&408) && answers.iter().all(|status| [408, 503].contains(status)), "{answers:?}");
+    let taken_mib = service.peak_mib() - before_mib;
+    eprintln!("16 bodies of 16 MiB at once, of which two had room, took {taken_mib:.0} MiB");
+    assert!(taken_mib < 96.0, "{taken_mib} MiB");
+    let (_, _, metrics) = client::ask(TcpStream::connect(service.address).await.unwrap(), get(service.address, "http", "/metrics")).await;
+    assert!(String::from_utf8(metrics.to_vec()).unwrap().contains("\nventricle_upload_reserved_bytes 0\n"), "all room is given back");
+}
