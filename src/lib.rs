@@ -24,6 +24,7 @@
 //! | [`dimse`] | DICOM's own network protocol: images received, results sent |
 //! | [`access`] | who may come in, as whom, and how much |
 //! | [`http`] | the service |
+//! | [`networks`], [`tls`] | ranges of addresses; certificates, and connections encrypted with them |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
 
 pub mod access;
@@ -42,6 +43,7 @@ pub mod http;
 pub mod intake;
 pub mod jobs;
 pub mod mesh;
+pub mod networks;
 pub mod paper;
 pub mod parameters;
 pub mod phantom;
@@ -50,4 +52,5 @@ pub mod report;
 pub mod study;
 pub mod subject;
 pub mod telemetry;
+pub mod tls;
 pub mod volume;

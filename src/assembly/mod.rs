@@ -9,7 +9,7 @@ mod reception;
 mod series;
 
 pub use parsers::{NotParsed, Parsers};
-pub use reception::{Outcome, Received, Reception, Refusal, Way};
+pub use reception::{MOST_WAITING_BYTES, Outcome, Received, Reception, Refusal, Way};
 
 use crate::{
     intake::{self, IntakeError},

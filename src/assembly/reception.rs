@@ -12,6 +12,8 @@ use uuid::Uuid;
 
 /// Excerpts held in memory until they are committed together.
 const BATCH_BYTES: usize = 16 << 20;
+/// Most bytes of excerpts that one request or association holds beside the object that it is receiving.
+pub const MOST_WAITING_BYTES: u64 = BATCH_BYTES as u64;
 
 /// How instances come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,7 @@
 //! What the operator allows beyond https to public addresses.
 
-use super::address::{Block, special};
+use super::address::special;
+use crate::networks::Network;
 use std::net::{IpAddr, SocketAddr};
 use url::{Host, Url};
 
@@ -22,7 +23,7 @@ struct Entry {
 enum What {
     /// In lower case, without a dot at its end.
     Name(String),
-    Network(Block),
+    Network(Network),
 }
 
 /// An entry that cannot be read.
@@ -50,8 +51,8 @@ impl Allowed {
         self.entries.extend(urls.filter_map(|url| {
             let what = match url.host()? {
                 Host::Domain(name) => What::Name(plain_name(name)),
-                Host::Ipv4(address) => What::Network(Block::one(address.into())),
-                Host::Ipv6(address) => What::Network(Block::one(IpAddr::from(address).to_canonical())),
+                Host::Ipv4(address) => What::Network(Network::one(address.into())),
+                Host::Ipv6(address) => What::Network(Network::one(IpAddr::from(address).to_canonical())),
             };
             Some(Entry { what, port: url.port_or_known_default() })
         }));
@@ -67,7 +68,7 @@ impl Allowed {
     /// Whether the address is on the list.
     pub(super) fn has(&self, address: IpAddr, port: u16) -> bool {
         let address = address.to_canonical();
-        self.entries.iter().any(|entry| matches!(entry.what, What::Network(block) if block.contains(address)) && entry.is_for(port))
+        self.entries.iter().any(|entry| matches!(entry.what, What::Network(network) if network.contains(address)) && entry.is_for(port))
     }
 
     /// Why a connection to this address is refused, if it is: not public, and not on the list.
@@ -78,15 +79,11 @@ impl Allowed {
 
 impl Entry {
     fn parse(text: &str) -> Option<Self> {
-        if let Some((network, length)) = text.split_once('/') {
-            let block = Block::new(network.parse().ok()?, length.parse().ok()?)?;
-            return Some(Self { what: What::Network(block), port: None });
-        }
-        if let Ok(address) = text.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>() {
-            return Some(Self { what: What::Network(Block::one(address.to_canonical())), port: None });
+        if let Ok(network) = text.parse() {
+            return Some(Self { what: What::Network(network), port: None });
         }
         if let Ok(address) = text.parse::<SocketAddr>() {
-            return Some(Self { what: What::Network(Block::one(address.ip().to_canonical())), port: Some(address.port()) });
+            return Some(Self { what: What::Network(Network::one(address.ip().to_canonical())), port: Some(address.port()) });
         }
         let (host, port) = match text.split_once(':') {
             Some((host, port)) => (host, Some(port.parse().ok().filter(|port| *port != 0)?)),
@@ -94,7 +91,7 @@ impl Entry {
         };
         match Host::parse(host).ok()? {
             Host::Domain(name) => Some(Self { what: What::Name(plain_name(&name)), port }),
-            Host::Ipv4(address) => Some(Self { what: What::Network(Block::one(address.into())), port }),
+            Host::Ipv4(address) => Some(Self { what: What::Network(Network::one(address.into())), port }),
             Host::Ipv6(_) => None,
         }
     }

@@ -1,8 +1,10 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
 mod access;
+mod transport;
 
 pub use access::{AccessError, AccessSettings, default_keys_file};
+pub use transport::{ProxyHeader, TransportError, TransportSettings};
 
 use crate::{access::is_owner, dimse::is_ae_title, jobs::ANONYMOUS};
 use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
@@ -181,6 +183,10 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_DIMSE_TLS_KEY")]
     pub dimse_tls_key: Option<PathBuf>,
 
+    /// How HTTP is carried.
+    #[command(flatten)]
+    pub transport: TransportSettings,
+
     /// Origins of web pages that may call the service (CORS), separated by commas, or `*` for any. None by default.
     #[arg(long, env = "VENTRICLE_CORS_ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
@@ -256,6 +262,9 @@ pub enum ConfigError {
     /// A certificate without its key, or the other way round.
     #[error("DICOM associations are encrypted with a certificate and its key: give both --dimse-tls-cert and --dimse-tls-key, or neither.")]
     DimseTls,
+    /// HTTP cannot be carried so.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
     /// A CORS origin that no browser sends.
     #[error("`{origin}` is not an origin: write scheme, host and, if needed, port, as https://viewer.example.org, or * alone for any.")]
     NotAnOrigin {
@@ -348,6 +357,7 @@ impl ServeSettings {
         if self.dimse_tls_cert.is_some() != self.dimse_tls_key.is_some() {
             return Err(ConfigError::DimseTls);
         }
+        self.transport.validate(self.max_body_mb)?;
         if let Some(origin) = self.cors_origin.iter().find(|origin| !is_origin(origin) && self.cors() != Cors::Any) {
             return Err(ConfigError::NotAnOrigin { origin: origin.clone() });
         }

@@ -6,7 +6,7 @@ use super::{
     peer::{Broken, Peer, Stream},
     shown,
 };
-use crate::{assembly::Assembler, intake::TransferSyntax};
+use crate::{assembly::Assembler, intake::TransferSyntax, tls::Acceptor};
 use dicom_ul::pdu::{AssociationRJ, Pdu};
 use std::{sync::Arc, time::Duration};
 use tokio::{
@@ -15,7 +15,6 @@ use tokio::{
     task::{JoinHandle, JoinSet},
     time::{sleep, timeout},
 };
-use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
 /// Time for the request of an association, and before it for TLS (the ARTIM timer of PS3.8 9.1.5).
@@ -41,7 +40,7 @@ pub struct Settings {
     /// Time for one object to arrive.
     pub object_time: Duration,
     /// Certificate and key, if it is encrypted.
-    pub tls: Option<TlsAcceptor>,
+    pub tls: Option<Arc<Acceptor>>,
 }
 
 /// What all associations share.

@@ -11,7 +11,6 @@
 //! | `association.rs` | one association that was accepted: echo, store, end |
 //! | `object.rs` | an object as it arrives, and how much memory all of them may have |
 //! | `listener.rs` | who is let in, and how it stops |
-//! | `tls.rs` | certificate and key of the listener |
 //! | `send.rs` | one object sent over a connection |
 
 mod association;
@@ -21,12 +20,9 @@ mod negotiate;
 mod object;
 mod peer;
 mod send;
-mod tls;
 
 pub use listener::{Listener, Settings, start};
 pub use send::{SendError, Title, send};
-pub use tls::{TlsError, acceptor};
-pub use tokio_rustls::TlsAcceptor as Acceptor;
 
 /// Application Context Name of DICOM (PS3.7 A.2.1).
 const APPLICATION_CONTEXT: &str = "1.2.840.10008.3.1.1.1";

@@ -67,6 +67,7 @@ pub(super) async fn again(
     state.accepts_work()?;
     body::plain(&headers)?;
     let idempotency_key = idempotency_key(&headers)?;
+    let _room = state.uploads.room(body::MOST_PARAMETER_BYTES as u64).await?;
     let written = written(&body::read(body, body::MOST_PARAMETER_BYTES as u64, state.upload_time).await?)?;
     // A place before the study is read.
     let mut reservation = state.store.reserve(0)?;

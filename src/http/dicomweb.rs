@@ -13,9 +13,10 @@ use super::{
     layers::Told,
     negotiate,
     problem::Problem,
+    uploads::Room,
     views::{Binary, StoreInstancesResponse},
 };
-use crate::assembly::{Received, Reception, Way};
+use crate::assembly::{MOST_WAITING_BYTES, Received, Reception, Way};
 use axum::{
     Extension,
     body::{Body, BodyDataStream, Bytes},
@@ -107,10 +108,13 @@ async fn receive(
     headers: &HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    if let Err(refusal) = admit(state, headers) {
-        body::discard(headers, body, state.study_bytes).await;
-        return Err(refusal);
-    }
+    let _room = match admit(state, headers).await {
+        Ok(room) => room,
+        Err(refusal) => {
+            body::discard(headers, body, state.study_bytes).await;
+            return Err(refusal);
+        }
+    };
     let reception = state.assembler().reception(&calling.0.owner, Way::Stow, study_uid);
     let reading = read(state, headers, body, reception);
     let reception = tokio::time::timeout(state.study_time(), reading)
@@ -119,17 +123,19 @@ async fn receive(
     answer(reception.end().await)
 }
 
-/// What the headers of a request decide before its body is read.
-fn admit(state: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
+/// What the headers of a request decide before its body is read: whether it is, and its room in the memory.
+async fn admit(state: &AppState, headers: &HeaderMap) -> Result<Room, Problem> {
     negotiate::acceptable(headers, DICOM_JSON)
         .or_else(|_| negotiate::acceptable(headers, "application/json"))
         .map_err(|_| Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON }))?;
     state.accepts_work()?;
     body::plain(headers)?;
-    body::announced(headers, state.study_bytes)?;
+    let announced = body::announced(headers, state.study_bytes)?;
     // A place for one job: it is given back, as how many jobs the request makes is not known yet.
     state.store.reserve(0)?;
-    Ok(())
+    // One object, what the parser holds before it, and the excerpts that are not committed yet.
+    let held = state.limits.body_bytes as u64 + MOST_HELD_BYTES + MOST_WAITING_BYTES;
+    Ok(state.uploads.room(announced.min(held)).await?)
 }
 
 /// Hands the files of a body to the reception, one after the other.

@@ -4,12 +4,12 @@ use super::problem::Problem;
 use crate::config::Cors;
 use axum::{
     body::{Body, HttpBody},
-    extract::{MatchedPath, Request},
-    http::{HeaderMap, HeaderName, HeaderValue, Method, header},
+    extract::{MatchedPath, Request, State},
+    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse, Response},
 };
-use std::{any::Any, time::Instant};
+use std::{any::Any, sync::Arc, time::Instant};
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tracing::Instrument;
 use uuid::Uuid;
@@ -18,13 +18,48 @@ use uuid::Uuid;
 pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Longest id taken over from a client.
 const LONGEST_ID: usize = 128;
+/// Most bytes of a request's headers, names and values.
+pub(super) const MOST_HEADER_BYTES: usize = 32 << 10;
+/// Most bytes of a request's path and query.
+const MOST_URI_BYTES: usize = 8 << 10;
+
+/// The headers of every answer that depend on the settings.
+#[derive(Debug, Clone)]
+pub(super) struct Policies {
+    /// That browsers are to come by HTTPS only.
+    strict_transport: Option<HeaderValue>,
+    /// Whether pages of other origins may show what is here.
+    resources: HeaderValue,
+}
+
+impl Policies {
+    /// Where browsers are to come by HTTPS only for so many seconds, if any, and these pages may call.
+    pub(super) fn new(hsts_seconds: Option<u64>, cors: &Cors) -> Self {
+        let strict_transport = hsts_seconds.and_then(|seconds| HeaderValue::from_str(&format!("max-age={seconds}")).ok());
+        // Who may read it by CORS may show it too.
+        let resources = HeaderValue::from_static(if *cors == Cors::Off { "same-origin" } else { "cross-origin" });
+        Self { strict_transport, resources }
+    }
+}
+
+/// Refuses a request whose head is larger than any that is meant.
+pub(super) async fn limit_head(request: Request, next: Next) -> Response {
+    let uri = request.uri();
+    if uri.path().len() + uri.query().map_or(0, |query| query.len() + 1) > MOST_URI_BYTES {
+        return StatusCode::URI_TOO_LONG.into_response();
+    }
+    if request.headers().iter().map(|(name, value)| name.as_str().len() + value.len()).sum::<usize>() > MOST_HEADER_BYTES {
+        return StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE.into_response();
+    }
+    next.run(request).await
+}
 
 /// The request's id, for who tells of it later.
 #[derive(Debug, Clone)]
 pub(super) struct RequestId(pub(super) String);
 
 /// Gives the request an id (the client's own, if it sends a usable one), logs and counts it, and finishes the answer.
-pub(super) async fn observe(mut request: Request, next: Next) -> Response {
+pub(super) async fn observe(State(policies): State<Arc<Policies>>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     let method = request.method().clone();
@@ -35,7 +70,7 @@ pub(super) async fn observe(mut request: Request, next: Next) -> Response {
     async {
         let response = next.run(request).await;
         let mut response = finish(response, &method, path, &id);
-        harden(response.headers_mut(), &matched);
+        harden(response.headers_mut(), &matched, &policies);
         if let Ok(id) = HeaderValue::from_str(&id) {
             response.headers_mut().insert(REQUEST_ID, id);
         }
@@ -83,8 +118,8 @@ fn finish(mut response: Response, method: &Method, path: String, id: &str) -> Re
     finished
 }
 
-/// Headers that keep browsers from guessing, framing and storing; a handler that knows better has set its own.
-fn harden(headers: &mut HeaderMap, matched: &str) {
+/// Headers that keep browsers from guessing, framing, storing and sharing; a handler that knows better has set its own.
+fn harden(headers: &mut HeaderMap, matched: &str, policies: &Policies) {
     // The reference page runs its own scripts and styles; nothing else here is a page that needs any.
     let policy = if matched.starts_with("/docs") {
         "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
@@ -96,8 +131,14 @@ fn harden(headers: &mut HeaderMap, matched: &str) {
         (header::CACHE_CONTROL, "no-store"),
         (header::REFERRER_POLICY, "no-referrer"),
         (header::CONTENT_SECURITY_POLICY, policy),
+        (HeaderName::from_static("permissions-policy"), "camera=(), geolocation=(), microphone=(), payment=(), usb=()"),
+        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
     ] {
         headers.entry(name).or_insert(HeaderValue::from_static(value));
+    }
+    headers.entry(HeaderName::from_static("cross-origin-resource-policy")).or_insert_with(|| policies.resources.clone());
+    if let Some(value) = &policies.strict_transport {
+        headers.insert(header::STRICT_TRANSPORT_SECURITY, value.clone());
     }
 }
 

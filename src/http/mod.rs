@@ -6,12 +6,14 @@
 #![expect(clippy::result_large_err, reason = "a refusal is made once a request: moving it costs nothing beside writing it as JSON")]
 
 mod access;
+mod activity;
 mod admission;
 mod again;
 mod archived;
 mod body;
 mod client;
 mod comparison;
+mod connections;
 mod demonstration;
 mod dicomweb;
 mod docs;
@@ -28,6 +30,7 @@ mod reconstructions;
 mod results;
 mod service;
 mod slices;
+mod uploads;
 mod viewer;
 mod views;
 mod wishes;
@@ -64,6 +67,8 @@ const ANSWER_TIME: Duration = Duration::from_secs(45);
 const STUDY_BYTES: u64 = 1 << 30;
 /// Pause after which a series is taken as it is, if nothing else is said: PACS send one instance right after the other.
 const QUIET: Duration = Duration::from_secs(10);
+/// Bodies received at once, if nothing else is said, and the bytes that they may hold.
+const UPLOADS: (usize, u64) = (64, 512 << 20);
 /// Longest a client may have its job kept, if nothing else is said: a year.
 const LONGEST_RETENTION: Duration = Duration::from_hours(365 * 24);
 
@@ -77,12 +82,15 @@ pub struct AppState {
     /// When a series that does not say how much of it there is goes without more.
     quiet: Duration,
     upload_time: Duration,
+    uploads: uploads::Uploads,
     longest_retention: Duration,
     keep_patient: bool,
     parsers: Parsers,
     workers_alive: Arc<dyn Fn() -> bool + Send + Sync>,
     disk: Option<Disk>,
     cors: Cors,
+    /// How long browsers are to come by HTTPS only, where the service encrypts.
+    hsts_seconds: Option<u64>,
     callbacks: Option<Arc<Rules>>,
     phantom: Arc<demonstration::Made>,
     viewer: viewer::Files,
@@ -115,12 +123,14 @@ impl AppState {
             study_bytes: STUDY_BYTES,
             quiet: QUIET,
             upload_time: Duration::from_mins(2),
+            uploads: uploads::Uploads::new(UPLOADS.0, UPLOADS.1),
             longest_retention: LONGEST_RETENTION,
             keep_patient: false,
             parsers: Parsers::new(PARSED_AT_ONCE),
             workers_alive: Arc::new(|| true),
             disk: None,
             cors: Cors::Off,
+            hsts_seconds: None,
             callbacks: None,
             phantom: Arc::default(),
             viewer: viewer::embedded(),
@@ -156,6 +166,18 @@ impl AppState {
     #[must_use]
     pub fn with_upload_time(self, upload_time: Duration) -> Self {
         Self { upload_time, ..self }
+    }
+
+    /// With another limit on bodies received at once and the bytes that they may hold, and another time to wait for room.
+    #[must_use]
+    pub fn with_uploads(self, at_once: usize, bytes: u64, patience: Duration) -> Self {
+        Self { uploads: uploads::Uploads::with_patience(at_once, bytes, patience), ..self }
+    }
+
+    /// Telling browsers to come by HTTPS only for so many seconds.
+    #[must_use]
+    pub fn with_hsts(self, seconds: u64) -> Self {
+        Self { hsts_seconds: Some(seconds), ..self }
     }
 
     /// With another limit on how long a client may have its job kept.
@@ -296,6 +318,7 @@ fn routes() -> OpenApiRouter<AppState> {
 /// The whole service as one router.
 pub fn router(state: AppState) -> Router {
     let (contract, _) = routes().split_for_parts();
+    let policies = Arc::new(layers::Policies::new(state.hsts_seconds, &state.cors));
     let router = contract
         .merge(docs::reference())
         .route("/", axum::routing::get(viewer::page))
@@ -308,7 +331,8 @@ pub fn router(state: AppState) -> Router {
         .route("/dicom-web/studies/{study_instance_uid}/", axum::routing::post(dicomweb::store_of_study))
         .layer(middleware::from_fn_with_state(state.clone(), access::guard))
         .layer(CatchPanicLayer::custom(layers::panicked))
-        .layer(middleware::from_fn(layers::observe));
+        .layer(middleware::from_fn(layers::limit_head))
+        .layer(middleware::from_fn_with_state(policies, layers::observe));
     let router = match layers::cors(&state.cors) {
         Some(cors) => router.layer(cors),
         None => router,

@@ -1,6 +1,11 @@
 //! Problem documents (RFC 9457): the one shape of every refusal, and the only place where errors of the layers below become status codes.
 
-use super::{body::BodyError, health::Checks, negotiate::NotAcceptable};
+use super::{
+    body::BodyError,
+    health::Checks,
+    negotiate::NotAcceptable,
+    uploads::{RETRY_AFTER_S, UploadsFull},
+};
 use crate::{
     archive::ArchiveError,
     export::ExportError,
@@ -95,6 +100,12 @@ impl Problem {
                 ("method_not_allowed", "This path does not know the method; the header Allow lists those it knows.")
             }
             StatusCode::PAYLOAD_TOO_LARGE => ("too_large", "The request is larger than the service accepts."),
+            StatusCode::URI_TOO_LONG => {
+                ("uri_too_long", "The path and query have more bytes than the 8192 that are accepted. Send parameters in the body.")
+            }
+            StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE => {
+                ("headers_too_large", "The headers have more bytes than the 32768 that are accepted. Leave out what is not needed here.")
+            }
             StatusCode::REQUEST_TIMEOUT => ("request_timeout", "The request did not arrive in time."),
             StatusCode::SERVICE_UNAVAILABLE => ("timeout", "The answer took longer than the service allows itself. Try again."),
             status if status.is_client_error() => ("bad_request", "The request cannot be understood."),
@@ -303,6 +314,12 @@ impl From<ComparisonError> for Problem {
     }
 }
 
+impl From<UploadsFull> for Problem {
+    fn from(error: UploadsFull) -> Self {
+        Self { retry_after_s: Some(RETRY_AFTER_S), ..Self::new(StatusCode::SERVICE_UNAVAILABLE, "uploads_full", error.to_string()) }
+    }
+}
+
 impl From<NotAcceptable> for Problem {
     fn from(error: NotAcceptable) -> Self {
         Self::new(StatusCode::NOT_ACCEPTABLE, "not_acceptable", error.to_string())
@@ -331,7 +348,7 @@ mod tests {
 
     #[test]
     fn every_status_has_a_document_without_empty_members() {
-        for status in [404, 405, 408, 413, 415, 500, 503].map(|status| StatusCode::from_u16(status).unwrap()) {
+        for status in [404, 405, 408, 413, 414, 415, 431, 500, 503].map(|status| StatusCode::from_u16(status).unwrap()) {
             let json = serde_json::to_value(Problem::of_status(status)).unwrap();
             assert_eq!(json["status"], status.as_u16());
             assert_eq!(json["type"], format!("urn:problem-type:ventricle:{}", json["code"].as_str().unwrap()));

@@ -7,6 +7,7 @@ use super::{
     extract::{Id, Query},
     negotiate,
     problem::Problem,
+    uploads::Room,
     views::{self, Binary, JobListView, JobState, JobView},
     wishes::{Rules, Wishes},
 };
@@ -133,7 +134,7 @@ pub(super) async fn submit(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let (idempotency_key, mut reservation) = match admit(&state, &headers) {
+    let (idempotency_key, mut reservation, room) = match admit(&state, &headers).await {
         Ok(admitted) => admitted,
         Err(refusal) => {
             body::discard(&headers, body, state.limits.body_bytes as u64).await;
@@ -145,21 +146,26 @@ pub(super) async fn submit(
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let (rules, keep_subject) = (Rules::of(&state), state.keep_patient);
     let submission = Submission { owner: calling.0.owner.clone(), content_type, bytes, query, idempotency_key };
-    let new = state.parse(move |limits| receive(submission, limits, &rules, keep_subject)).await?;
+    let parsing = move |limits: &_| {
+        let _room = room; // held to the end even if the client goes away
+        receive(submission, limits, &rules, keep_subject)
+    };
+    let new = state.parse(parsing).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(accepted(&job)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
     }
 }
 
-/// What the headers of a submission decide: its key and its place in the queue, taken before the body is read.
-fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation), Problem> {
+/// What the headers of a submission decide: its key, its place in the queue and its room in the memory, taken before the body is read.
+async fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation, Room), Problem> {
     negotiate::acceptable(headers, "application/json")?;
     state.accepts_work()?;
     body::plain(headers)?;
     let idempotency_key = idempotency_key(headers)?;
     let announced = body::announced(headers, state.limits.body_bytes as u64)?;
-    Ok((idempotency_key, state.store.reserve(announced)?))
+    let reservation = state.store.reserve(announced)?;
+    Ok((idempotency_key, reservation, state.uploads.room(announced).await?))
 }
 
 /// A submission as it came.

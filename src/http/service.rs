@@ -1,6 +1,6 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, admission, archived, listener, router, views};
+use super::{AppState, admission, archived, client::Proxies, connections::Connections, listener, router, uploads::Uploads, views};
 use crate::{
     access::{Audit, AuditError, KeyringError},
     assembly,
@@ -12,11 +12,12 @@ use crate::{
     config::{self, ConfigError, ServeSettings},
     dimse, intake,
     jobs::{self, Backend, Store, StoreError, StoreSettings, Threads, WorkerSettings, Workers},
+    tls::{Acceptor, Purpose, TlsError},
 };
-use std::{io, net::SocketAddr, num::NonZeroUsize, sync::Arc, time::Duration};
+use std::{io, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Arc, time::Duration};
 use tokio::{
     net::TcpListener,
-    signal::unix::{SignalKind, signal},
+    signal::unix::{Signal, SignalKind, signal},
     task::JoinHandle,
 };
 use tokio_util::sync::CancellationToken;
@@ -54,9 +55,9 @@ pub enum ServeError {
     /// Results may not be sent where `--results-to` says.
     #[error("The address of --results-to {0}")]
     ResultsTo(#[from] DestinationError),
-    /// Certificate and key of DICOM associations cannot be used.
+    /// Certificate and key of HTTP, or of DICOM associations, cannot be used.
     #[error(transparent)]
-    DimseTls(#[from] dimse::TlsError),
+    Tls(#[from] TlsError),
     /// The address is taken or not ours.
     #[error("Cannot listen on {address}: {source}.")]
     Listen {
@@ -74,6 +75,8 @@ pub enum ServeError {
 pub struct Running {
     address: SocketAddr,
     dimse_address: Option<SocketAddr>,
+    /// What connections are encrypted with.
+    encryption: Encryption,
     draining: CancellationToken,
     closing: CancellationToken,
     listener: JoinHandle<()>,
@@ -95,6 +98,22 @@ impl Running {
     /// Where it listens for DICOM associations, if it does.
     pub fn dimse_address(&self) -> Option<SocketAddr> {
         self.dimse_address
+    }
+
+    /// Where it listens, as a URL.
+    pub fn url(&self) -> String {
+        let scheme = if self.encryption.http.is_some() { "https" } else { "http" };
+        format!("{scheme}://{}", self.address)
+    }
+
+    /// Reads certificates and keys again, for the connections from now on. What cannot be used is logged, and the old is used further.
+    pub fn reload_certificates(&self) {
+        for acceptor in self.encryption.http.iter().chain(&self.encryption.dimse) {
+            match acceptor.reload() {
+                Ok(()) => tracing::info!(listener = %acceptor.purpose(), "the certificate was read again"),
+                Err(error) => tracing::error!(%error, "the certificate that was read before is used further"),
+            }
+        }
     }
 
     /// Stops it in order: refuses new work and ends waiting answers, lets workers finish or give back what they have, closes the listeners and
@@ -131,11 +150,12 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     // The address first: with a wrong one nothing else should have begun.
     let listener = bind(settings.listen).await?;
     let address = listener.local_addr()?;
+    let encryption = Encryption::open(settings)?;
     let dimse_listener = match settings.dimse_listen {
-        Some(address) => Some((bind(address).await?, tls(settings)?)),
+        Some(address) => Some(bind(address).await?),
         None => None,
     };
-    let dimse_address = dimse_listener.as_ref().map(|(listener, _)| listener.local_addr()).transpose()?;
+    let dimse_address = dimse_listener.as_ref().map(TcpListener::local_addr).transpose()?;
     let outward = outward(settings)?;
     let access = admission::access(settings)?;
     let audit = settings.access.audit_log.as_deref().map(Audit::open).transpose()?;
@@ -152,26 +172,26 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let assembly = state.assembler().watch();
     let admission = admission::watch(&state.access, state.audit.clone())?;
     let (draining, closing) = (state.draining(), CancellationToken::new());
-    let dimse = dimse_listener.map(|(listener, tls)| {
-        let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), tls);
+    let dimse = dimse_listener.map(|listener| {
+        let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), encryption.dimse.clone());
         dimse::start(listener, settings, state.assembler(), draining.clone())
     });
-    let listener = tokio::spawn(listener::serve(listener, router(state), listener::HEADER_TIME, closing.clone()));
-    let drain_time = settings.drain_time();
-    let (_assembly, _admission) = (assembly, admission);
+    let accepted = listener_settings(settings, encryption.http.clone());
+    let listener = tokio::spawn(listener::serve(listener, router(state), accepted, closing.clone()));
     Ok(Running {
         address,
         dimse_address,
+        encryption,
         draining,
         closing,
         listener,
         workers,
         deliveries,
         dimse,
-        _assembly,
-        _admission,
+        _assembly: assembly,
+        _admission: admission,
         store,
-        drain_time,
+        drain_time: settings.drain_time(),
     })
 }
 
@@ -179,16 +199,22 @@ async fn bind(address: SocketAddr) -> Result<TcpListener, ServeError> {
     TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
 }
 
-/// Runs the service until SIGTERM or SIGINT, then stops it in order.
+/// Runs the service until SIGTERM or SIGINT, then stops it in order. Where it encrypts, SIGHUP has it read its certificates again.
 pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
     // Before the first job: a signal during the start must not end the process half way.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    // Without a certificate the end of a terminal ends the service, as it does any program.
+    let encrypts = settings.transport.tls().is_some() || settings.dimse_tls_cert.is_some();
+    let mut hangup = encrypts.then(|| signal(SignalKind::hangup())).transpose()?;
     let running = start(&settings, worker_settings(&settings)).await?;
     let dimse = running.dimse_address().map(|address| format!("\nlistens on dicom://{}@{address}", settings.dimse_ae_title));
-    println!("ventricle {} listens on http://{}{}", env!("CARGO_PKG_VERSION"), running.address(), dimse.unwrap_or_default());
-    tokio::select! {
-        _ = terminate.recv() => {}
-        _ = interrupt.recv() => {}
+    println!("ventricle {} listens on {}{}", env!("CARGO_PKG_VERSION"), running.url(), dimse.unwrap_or_default());
+    loop {
+        tokio::select! {
+            _ = terminate.recv() => break,
+            _ = interrupt.recv() => break,
+            () = received(&mut hangup) => running.reload_certificates(),
+        }
     }
     tracing::info!(seconds = settings.drain_seconds, "stopping; running jobs may finish within the drain time");
     let stopping = running.stop();
@@ -197,6 +223,14 @@ pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
         // Asked again: the store is safe at any moment, so there is nothing to wait for.
         _ = terminate.recv() => Ok(()),
         _ = interrupt.recv() => Ok(()),
+    }
+}
+
+/// Waits for a signal that may never come.
+async fn received(signal: &mut Option<Signal>) {
+    match signal {
+        Some(signal) => drop(signal.recv().await),
+        None => std::future::pending().await,
     }
 }
 
@@ -252,20 +286,35 @@ fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
     Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
 }
 
-/// Certificate and key of DICOM associations, if they are to be encrypted.
-fn tls(settings: &ServeSettings) -> Result<Option<dimse::Acceptor>, ServeError> {
-    Ok(match (&settings.dimse_tls_cert, &settings.dimse_tls_key) {
-        (Some(certificates), Some(key)) => Some(dimse::acceptor(certificates, key)?),
-        _ => None,
-    })
+/// What connections are encrypted with, where they are.
+struct Encryption {
+    http: Option<Arc<Acceptor>>,
+    dimse: Option<Arc<Acceptor>>,
+}
+
+impl Encryption {
+    fn open(settings: &ServeSettings) -> Result<Self, TlsError> {
+        let open = |purpose, files: Option<(&PathBuf, &PathBuf)>| {
+            files.map(|(certificates, key)| Acceptor::open(purpose, certificates, key).map(Arc::new)).transpose()
+        };
+        let dimse = settings.dimse_tls_cert.as_ref().zip(settings.dimse_tls_key.as_ref());
+        Ok(Self { http: open(Purpose::Http, settings.transport.tls())?, dimse: open(Purpose::Dimse, dimse)? })
+    }
+}
+
+/// How a service with these settings accepts HTTP connections.
+fn listener_settings(settings: &ServeSettings, tls: Option<Arc<Acceptor>>) -> listener::Settings {
+    let transport = &settings.transport;
+    listener::Settings {
+        header_time: listener::HEADER_TIME,
+        tls,
+        proxies: Proxies::new(&transport.trusted_proxy, transport.trusted_proxy_header),
+        connections: Connections::new(transport.max_connections as usize, transport.max_connections_per_client as usize),
+    }
 }
 
 /// How a service with these settings takes DICOM associations.
-fn dimse_settings(
-    settings: &ServeSettings,
-    transfer_syntaxes: Vec<intake::TransferSyntax>,
-    tls: Option<dimse::Acceptor>,
-) -> dimse::Settings {
+fn dimse_settings(settings: &ServeSettings, transfer_syntaxes: Vec<intake::TransferSyntax>, tls: Option<Arc<Acceptor>>) -> dimse::Settings {
     dimse::Settings {
         callers: settings.dimse_calling_ae.clone(),
         owner: settings.dimse_owner.clone(),
@@ -299,6 +348,9 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
         .with_patients_kept(settings.keep_patient)
         .with_workers(move || workers.alive())
         .with_cors(settings.cors());
+    let transport = &settings.transport;
+    state.uploads = Uploads::new(transport.max_uploads as usize, transport.max_upload_memory_mb << 20);
+    state.hsts_seconds = transport.tls().map(|_| transport.hsts_seconds).filter(|seconds| *seconds > 0);
     match config::own_program() {
         Ok(program) => state = state.with_decoder(Decoder { program }),
         Err(error) => tracing::warn!(%error, "this program does not find itself: compressed images are refused"),

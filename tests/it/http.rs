@@ -2,6 +2,7 @@
 
 mod again;
 pub(crate) mod archived;
+mod bounding;
 mod callbacks;
 mod comparison;
 mod following;

@@ -53,6 +53,8 @@ const EVERYTHING: &[&str] = &[
     "assembly",
     "dimse",
     "http",
+    "networks",
+    "tls",
     "config",
     "telemetry",
 ];
@@ -170,7 +172,7 @@ const RULES: &[Rule] = &[
     // It is given its connections: who may be connected to is decided in `callbacks`.
     Rule {
         module: "dimse",
-        crate_modules: &["assembly", "elements", "intake", "jobs"],
+        crate_modules: &["assembly", "elements", "intake", "jobs", "tls"],
         external: External::AllBut(&[
             "axum",
             "clap",
@@ -196,7 +198,7 @@ const RULES: &[Rule] = &[
     // The one module that connects to where a client says: nothing else has an HTTP client or TLS to do so with.
     Rule {
         module: "callbacks",
-        crate_modules: &["dimse", "jobs"],
+        crate_modules: &["dimse", "jobs", "networks"],
         external: External::AllBut(&[
             "axum",
             "clap",
@@ -270,8 +272,19 @@ const RULES: &[Rule] = &[
         ]),
     },
     Rule {
+        module: "networks",
+        crate_modules: &[],
+        external: External::AllBut(&["axum", "clap", "hyper", "sqlx", "std::env", "std::fs", "tokio", "tokio_rustls", "url"]),
+    },
+    // What `http` and `dimse` accept encrypted connections with.
+    Rule {
+        module: "tls",
+        crate_modules: &[],
+        external: External::AllBut(&["axum", "clap", "hyper", "hyper_util", "sqlx", "std::env", "tower", "ureq", "url"]),
+    },
+    Rule {
         module: "config",
-        crate_modules: &["access", "dimse", "jobs"],
+        crate_modules: &["access", "dimse", "jobs", "networks"],
         external: External::AllBut(&["axum", "dicom_ul", "sqlx", "tokio"]),
     },
     Rule { module: "telemetry", crate_modules: &["config"], external: External::AllBut(&["axum", "sqlx", "std::env"]) },
@@ -353,6 +366,8 @@ fn a_violating_source_is_caught() {
         ("http", "use dicom_ul::pdu::Pdu;", "dicom_ul"),
         ("callbacks", "use ureq::Agent;", "ureq"),
         ("http", "use tokio_rustls::TlsConnector;", "tokio_rustls"),
+        ("tls", "use crate::config::Cors;", "crate::config"),
+        ("networks", "use tokio::net::TcpStream;", "tokio"),
         ("http", "use ndarray::Array3;", "ndarray"),
         ("telemetry", "use std::env;", "std::env"),
         ("paper", "use std::{time::Instant, fs};", "std::fs"),

@@ -43,6 +43,7 @@ mod schema;
 mod served;
 mod shared;
 mod surfaces;
+mod transport;
 mod upgrade;
 mod viewer;
 mod wall;

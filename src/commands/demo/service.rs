@@ -92,6 +92,8 @@ impl Service {
             .args(["serve", "--listen", &address.to_string(), "--data-dir"])
             .arg(data_dir)
             .env_remove("VENTRICLE_DATABASE_URL")
+            .env_remove("VENTRICLE_TLS_CERT")
+            .env_remove("VENTRICLE_TLS_KEY")
             .stdin(Stdio::null())
             .stdout(file.try_clone()?)
             .stderr(file)
