@@ -846,7 +846,7 @@ export interface components {
         };
         /** @description What readiness rests on. */
         Checks: {
-            /** @description The database answers. */
+            /** @description The database answers and can be written. */
             store: components["schemas"]["Check"];
             /** @description Workers run. */
             workers: components["schemas"]["Check"];
