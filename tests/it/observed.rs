@@ -65,18 +65,17 @@ fn hammer(service: &Served, word: &str) {
 fn no_request_makes_a_new_series() {
     let data = Directory::new("series");
     let service = Served::start(&data.0, &[]);
-    hammer(&service, "first");
+    hammer(&service, "zqfirst");
     // Numbers that come by themselves: a look of the workers, a heartbeat.
     let before = series(&service);
     assert!(before.len() > 100, "{before:#?}");
-    for word in ["second", "thirdword", "x9", "a-much-longer-word-with-dashes"] {
+    for word in ["zqagain", "zqthird", "zqx9", "zq-much-longer-word-with-dashes"] {
         hammer(&service, word);
     }
     let after = series(&service);
     let new: Vec<&String> = after.difference(&before).collect();
     assert!(new.is_empty(), "{new:#?}");
-    let words = ["first", "second", "thirdword", "x9", "a-much-longer"];
-    assert!(after.iter().all(|series| words.iter().all(|word| !series.to_lowercase().contains(word))), "{after:#?}");
+    assert!(after.iter().all(|series| !series.to_lowercase().contains("zq")), "{after:#?}");
     assert!(
         after.iter().any(|series| series.contains("path=\"unmatched\"")) && after.iter().any(|series| series.contains("method=\"other\""))
     );
@@ -98,7 +97,7 @@ fn a_job_is_seen_in_numbers_and_its_lines_name_it_and_its_request() {
     let code = failed["error"]["code"].as_str().unwrap();
     assert_eq!(service.get("/nowhere").status, 404);
 
-    for stage in ["localisation", "rays", "model_fit", "wall", "measurement", "results"] {
+    for stage in ["localisation", "rays", "model_fit", "wall", "results"] {
         let count = format!("ventricle_job_stage_duration_seconds_count{{stage=\"{stage}\",preset=\"clinical\"}}");
         assert_eq!(service.metric(&count), 1.0, "{count}");
     }
