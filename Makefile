@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build web test chaos bench bench-peers bench-http bench-queue bench-scaling guard guard-update fuzz lint openapi tables accuracy
+.PHONY: help demo build web test chaos bench bench-peers bench-http bench-queue bench-scaling guard guard-update fuzz lint sbom openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -77,11 +77,15 @@ FUZZ_TARGETS ?= prescan dicom nifti npy json multipart frame_header
 fuzz: ## runs each fuzz target for FUZZ_SECONDS (needs a nightly toolchain and cargo-fuzz)
 	@tests/tools/fuzz.sh $(FUZZ_SECONDS) $(FUZZ_TARGETS)
 
-lint: ## formatting, clippy, documentation, licences and advisories
+lint: ## formatting, clippy, documentation, licences and advisories (crates and npm packages)
 	cargo fmt --check
 	cargo clippy --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --locked
 	@tests/tools/deny.sh
+	@tests/tools/audit.sh
+
+sbom: ## writes what a release is made of, in CycloneDX, into target/sbom (installs cargo-cyclonedx under target/tools)
+	@tests/tools/sbom.sh
 
 openapi: ## writes openapi/openapi.json from the routes, and the schemas beside it from the types
 	mkdir -p openapi

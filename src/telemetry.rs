@@ -1,6 +1,9 @@
 //! Logs to standard error and numbers for Prometheus. Neither ever holds anything that names a patient: what is logged of a request is
 //! its method, matched path, status, duration and id.
 
+pub mod process;
+mod zeros;
+
 use crate::config::{ConfigError, LogFormat};
 use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use std::{io::IsTerminal, sync::OnceLock};
@@ -9,6 +12,10 @@ use tracing_subscriber::EnvFilter;
 /// Upper bounds in s of the buckets of every duration: from a cached report to the longest reconstruction.
 const SECONDS: [f64; 14] = [0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 30.0, 120.0];
 
+/// The commit that a release was built from, `unknown` of other builds; the compiler's version; `release` or `debug`.
+const BUILT: [(&str, &str); 4] =
+    [("version", env!("CARGO_PKG_VERSION")), ("commit", env!("BUILT_COMMIT")), ("rustc", env!("BUILT_BY")), ("profile", env!("BUILT_AS"))];
+
 /// Starts logging, once a process; later calls change nothing.
 ///
 /// # Errors
@@ -16,7 +23,8 @@ const SECONDS: [f64; 14] = [0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 
 pub fn init(format: LogFormat, directives: &str) -> Result<(), ConfigError> {
     let filter = EnvFilter::try_new(directives)
         .map_err(|why| ConfigError::LogDirectives { directives: directives.to_owned(), why: why.to_string() })?;
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // A log that cannot be written (its disk is full) ends no request: by default the failure is printed, which fails likewise and panics.
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     // A second call finds a subscriber in place and leaves it there.
     let _already_logging = match format {
         LogFormat::Text => builder.with_ansi(std::io::stderr().is_terminal()).try_init(),
@@ -38,6 +46,8 @@ pub fn metrics() -> PrometheusHandle {
             if metrics::set_global_recorder(recorder).is_err() {
                 tracing::warn!("another recorder of metrics is installed: /metrics stays empty");
             }
+            metrics::gauge!("ventricle_build_info", &BUILT).set(1.0);
+            zeros::begin();
             handle
         })
         .clone()

@@ -1,6 +1,7 @@
 //! Whether the service lives, whether it can take work, and its numbers.
 
 use super::{AppState, problem::Problem};
+use crate::{jobs::Probe, telemetry};
 use axum::{
     Json,
     extract::State,
@@ -33,7 +34,7 @@ pub(super) struct Ready {
 /// What readiness rests on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Checks {
-    /// The database answers.
+    /// The database answers and can be written.
     pub store: Check,
     /// Workers run.
     pub workers: Check,
@@ -86,7 +87,7 @@ pub(super) async fn healthz() -> Json<Alive> {
     ),
 )]
 pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>, Problem> {
-    let checks = checks(&state).await;
+    let checks = look(&state).await;
     let failing: Vec<_> =
         checks.all().into_iter().filter(|(_, check)| !check.ok).map(|(name, check)| format!("{name}: {}", check.detail)).collect();
     if failing.is_empty() {
@@ -96,11 +97,21 @@ pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>,
     Err(Problem { checks: Some(checks), retry_after_s: Some(5), ..problem })
 }
 
-async fn checks(state: &AppState) -> Checks {
-    let store = state.store.ping().await;
-    if let Err(error) = &store {
-        tracing::warn!(%error, "the store does not answer");
+/// Looks, and tells the metrics what was seen.
+async fn look(state: &AppState) -> Checks {
+    let checks = checks(state).await;
+    for (name, check) in checks.all() {
+        metrics::gauge!("ventricle_ready", "check" => name).set(if check.ok { 1.0 } else { 0.0 });
     }
+    checks
+}
+
+async fn checks(state: &AppState) -> Checks {
+    let store = match state.store.probe().await {
+        Probe::Writable => Check::new(true, "the database answers and takes what is written"),
+        Probe::NotWritable => Check::new(false, "the database answers, but takes nothing that is written"),
+        Probe::Silent => Check::new(false, "the database does not answer"),
+    };
     let queue = match state.store.counts().await {
         Ok(counts) => {
             let (jobs, mib) = (counts.queued + counts.reserved, counts.queued_bytes >> 20);
@@ -118,7 +129,7 @@ async fn checks(state: &AppState) -> Checks {
         (false, false) => "a worker has ended",
     };
     Checks {
-        store: Check::new(store.is_ok(), if store.is_ok() { "the database answers" } else { "the database does not answer" }),
+        store,
         workers: Check::new(workers, doing),
         queue,
         disk: disk(state).await,
@@ -131,7 +142,10 @@ async fn disk(state: &AppState) -> Check {
     let Some(needed) = state.disk.clone() else { return Check::new(true, "the database is elsewhere") };
     let free = tokio::task::spawn_blocking(move || fs4::available_space(&needed.directory)).await;
     match free {
-        Ok(Ok(free)) => Check::new(free >= needed.bytes, format!("{} MiB free, {} MiB needed", free >> 20, needed.bytes >> 20)),
+        Ok(Ok(free)) => {
+            metrics::gauge!("ventricle_disk_free_bytes").set(free as f64);
+            Check::new(free >= needed.bytes, format!("{} MiB free, {} MiB needed", free >> 20, needed.bytes >> 20))
+        }
         _ => Check::new(false, "the data directory cannot be looked at"),
     }
 }
@@ -142,6 +156,7 @@ async fn disk(state: &AppState) -> Check {
     responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")),
 )]
 pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
+    look(&state).await;
     if let Err(error) = state.store.publish_counts().await {
         tracing::warn!(%error, "the queue's numbers are those of the last look");
     }
@@ -149,5 +164,5 @@ pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse 
         tracing::warn!(%error, "the numbers of what waits for its rest are those of the last look");
     }
     state.metrics.run_upkeep();
-    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render())
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render() + &telemetry::process::text())
 }

@@ -61,6 +61,7 @@ pub(super) struct RequestId(pub(super) String);
 /// Gives the request an id (the client's own, if it sends a usable one), logs and counts it, and finishes the answer.
 pub(super) async fn observe(State(policies): State<Arc<Policies>>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
+    let _in_flight = InFlight::begin();
     let id = request_id(request.headers());
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
@@ -79,6 +80,23 @@ pub(super) async fn observe(State(policies): State<Arc<Policies>>, mut request: 
     }
     .instrument(span)
     .await
+}
+
+/// A request that is counted as long as it is here: also one whose client goes away is counted down.
+struct InFlight(metrics::Gauge);
+
+impl InFlight {
+    fn begin() -> Self {
+        let requests = metrics::gauge!("ventricle_http_requests_in_flight");
+        requests.increment(1.0);
+        Self(requests)
+    }
+}
+
+impl Drop for InFlight {
+    fn drop(&mut self) {
+        self.0.decrement(1.0);
+    }
 }
 
 fn request_id(headers: &HeaderMap) -> String {
@@ -102,6 +120,8 @@ fn finish(mut response: Response, method: &Method, path: String, id: &str) -> Re
         return response;
     }
     let problem = response.extensions_mut().remove::<Problem>().unwrap_or_else(|| Problem::of_status(status));
+    // Codes are names in this program: no request can make a new one.
+    metrics::counter!("ventricle_http_problems_total", "code" => problem.code.clone()).increment(1);
     let mut finished = Problem { instance: Some(path), request_id: Some(id.to_owned()), ..problem }.into_response();
     *finished.status_mut() = status;
     for name in response.headers().keys().filter(|name| *name != header::CONTENT_TYPE && *name != header::CONTENT_LENGTH) {

@@ -14,7 +14,7 @@ mod npy;
 mod prescan;
 mod sniff;
 
-pub use dicom::{Holds, Instance, Refused, STORAGE_CLASSES, TransferSyntax, examine, transfer_syntaxes};
+pub use dicom::{ALLOWED, Allowed, Holds, Instance, Refused, STORAGE_CLASSES, TransferSyntax, examine, transfer_syntaxes};
 pub(crate) use error::sentence;
 pub use error::{IntakeError, Nature};
 pub use prescan::ScanError;

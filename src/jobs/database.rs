@@ -138,6 +138,8 @@ impl Database {
             .synchronous(SqliteSynchronous::Full)
             .auto_vacuum(SqliteAutoVacuum::Incremental)
             .foreign_keys(true)
+            // What is deleted is overwritten: a name must not outlast its job in a free page.
+            .pragma("secure_delete", "ON")
             .pragma("journal_size_limit", WAL_LIMIT_BYTES)
             .busy_timeout(LOCK_PAUSE);
         let deadline = tokio::time::Instant::now() + wait;
@@ -274,6 +276,7 @@ impl Embedded {
         for (setting, sql, wanted) in [
             ("journal_mode = wal", "SELECT journal_mode FROM pragma_journal_mode()", "wal"),
             ("synchronous = full", "SELECT CAST(synchronous AS TEXT) FROM pragma_synchronous()", "2"),
+            ("secure_delete = on", "SELECT CAST(secure_delete AS TEXT) FROM pragma_secure_delete()", "1"),
             ("foreign_keys = on", "SELECT CAST(foreign_keys AS TEXT) FROM pragma_foreign_keys()", "1"),
         ] {
             let found = self.text(sql).await?;

@@ -3,11 +3,11 @@
 use super::{
     database::{Transaction, values},
     error::{StoreError, SubmitError},
-    job::JobError,
+    job::{Job, JobError},
     lease::milliseconds,
-    store::{Store, finished, intact, parse_id, sha256},
+    numbers::failed,
+    store::{Store, intact, parse_id, sha256},
 };
-use crate::jobs::{Job, State};
 use std::time::Duration;
 use uuid::Uuid;
 
@@ -251,6 +251,7 @@ impl Store {
         error: &JobError,
         callback_url: Option<String>,
     ) -> Result<Option<Job>, SubmitError> {
+        let code = &error.code;
         let error = serde_json::to_string(error).map_err(|error| StoreError::Damaged { what: error.to_string() })?;
         let id = Uuid::now_v7();
         let members = Members::Filed { instance_uids, keep: true };
@@ -280,7 +281,7 @@ impl Store {
         let job = self.get_in(&mut transaction, id).await?;
         transaction.commit().await?;
         self.inner.watchers.announce(id);
-        finished(State::Failed);
+        failed(code);
         Ok(Some(job))
     }
 }

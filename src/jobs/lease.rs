@@ -7,9 +7,10 @@ use super::{
     database::values,
     error::StoreError,
     job::{JobError, State},
+    numbers::{Operation, failed, finished, timed, took},
     progress::Snapshot,
     queue::Load,
-    store::{INPUT, Store, finished, insert_blob, intact, parse_id, sha256},
+    store::{INPUT, Store, insert_blob, intact, parse_id, sha256},
     work::{Output, SUMMARY},
 };
 use std::{sync::Arc, time::Duration};
@@ -17,6 +18,9 @@ use uuid::Uuid;
 
 /// Most waiting jobs that a claim counts. More than the processors of a machine make no difference to it.
 pub(super) const MOST_COUNTED: u64 = 128;
+
+/// Code of a job that was given up because every worker that took it was lost.
+const WORKER_LOST: &str = "worker_lost";
 
 /// A job held by a worker.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,7 +92,7 @@ impl Store {
                 ) AS waiting
             ), {notify}";
         let values = values![worker, milliseconds(self.inner.settings.lease), MOST_COUNTED as i64];
-        let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(None) };
+        let Some(row) = timed(Operation::Claim, self.inner.database.fetch_one(sql, values)).await? else { return Ok(None) };
         self.inner.queue.left(row.get::<i64>(3)? as u64);
         let id = parse_id(&row.get::<String>(0)?)?;
         self.inner.watchers.announce(id);
@@ -102,7 +106,8 @@ impl Store {
     pub async fn input(&self, claim: &Claim) -> Result<Option<Vec<u8>>, StoreError> {
         let sql = "SELECT blobs.sha256, blobs.data FROM jobs LEFT JOIN blobs ON blobs.job_id = jobs.id AND blobs.name = $3
             WHERE jobs.id = $1 AND jobs.attempts = $2 AND jobs.state = 'running'";
-        let Some(row) = self.inner.database.fetch_one(sql, values![claim.id, claim.attempt, INPUT]).await? else { return Ok(None) };
+        let read = self.inner.database.fetch_one(sql, values![claim.id, claim.attempt, INPUT]);
+        let Some(row) = timed(Operation::Read, read).await? else { return Ok(None) };
         let (Some(sha256), Some(data)) = (row.get::<Option<String>>(0)?, row.get::<Option<Vec<u8>>>(1)?) else {
             return Err(StoreError::Damaged { what: format!("job {} has no input", claim.id) });
         };
@@ -125,7 +130,8 @@ impl Store {
             news.map(|news| news.gates_done as i64),
             i64::from(news.is_some()),
         ];
-        let Some(row) = self.inner.database.fetch_one(sql, values).await? else { return Ok(Heartbeat::Lost) };
+        let renewed = timed(Operation::Heartbeat, self.inner.database.fetch_one(sql, values)).await?;
+        let Some(row) = renewed else { return Ok(Heartbeat::Lost) };
         if news.is_some() {
             self.inner.watchers.announce(claim.id);
         }
@@ -134,11 +140,16 @@ impl Store {
 
     /// Stores the final state and, with it, the results.
     pub async fn finish(&self, claim: &Claim, outcome: Outcome, last: &Snapshot) -> Result<Finish, StoreError> {
+        timed(Operation::Finish, self.finish_untimed(claim, outcome, last)).await
+    }
+
+    async fn finish_untimed(&self, claim: &Claim, outcome: Outcome, last: &Snapshot) -> Result<Finish, StoreError> {
         let (wanted, outputs, error) = match outcome {
             Outcome::Succeeded(outputs) => (State::Succeeded, outputs, None),
             Outcome::Failed(error) => (State::Failed, Arc::default(), Some(error)),
             Outcome::Cancelled => (State::Cancelled, Arc::default(), None),
         };
+        let code = error.as_ref().map(|error| error.code.clone());
         let error = error.map(|error| serde_json::to_string(&error)).transpose().unwrap_or_default();
         let summary = outputs.iter().find(|output| output.name == SUMMARY);
         let summary = summary.map(|output| String::from_utf8_lossy(&output.data).into_owned());
@@ -167,11 +178,14 @@ impl Store {
         self.end(&mut transaction, claim.id).await?;
         transaction.commit().await?;
         self.inner.watchers.announce(claim.id);
-        finished(state);
+        match code.filter(|_| state == State::Failed) {
+            Some(code) => failed(&code),
+            None => finished(state),
+        }
         if state == State::Succeeded {
             self.inner.queue.measured(duration_s);
         }
-        metrics::histogram!("ventricle_job_duration_seconds", "state" => state.name()).record(duration_s);
+        took(state, &claim.parameters, duration_s);
         Ok(Finish::Done(state))
     }
 
@@ -203,7 +217,7 @@ impl Store {
     ) -> Result<Vec<Reaped>, StoreError> {
         let database = &self.inner.database;
         let lost = JobError {
-            code: "worker_lost".into(),
+            code: WORKER_LOST.into(),
             message: "Every worker that took the job was lost before it finished. The input may need more memory than the service has."
                 .into(),
         };
@@ -240,8 +254,10 @@ impl Store {
         self.inner.queue.entered(queued);
         for reaped in &reaped {
             self.inner.watchers.announce(reaped.id);
-            if reaped.state.is_final() {
-                finished(reaped.state);
+            match reaped.state {
+                State::Failed => failed(WORKER_LOST),
+                state if state.is_final() => finished(state),
+                _ => {}
             }
         }
         (0..queued.jobs).for_each(|_| self.inner.work_ready.notify_one());

@@ -39,7 +39,7 @@ async fn reap(store: &Store) {
     match store.reap().await {
         Ok(reaped) => {
             for job in reaped {
-                tracing::warn!(job = %job.id, state = job.state.name(), "the worker of a job was lost");
+                tracing::warn!(job_id = %job.id, state = job.state.name(), "the worker of a job was lost");
                 metrics::counter!("ventricle_jobs_reaped_total", "state" => job.state.name()).increment(1);
             }
         }

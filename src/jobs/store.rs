@@ -7,6 +7,8 @@ use super::{
     feed::News,
     job::{Blob, Counts, Deletion, Job, KeptInput, ListQuery, Page, State},
     listen,
+    numbers::{Operation, finished, timed},
+    probe::LastProbe,
     progress::Progress,
     queue::{Load, Queue, Reservation},
     schema,
@@ -26,6 +28,7 @@ use tokio::{
     task::AbortHandle,
     time::Instant,
 };
+use tracing::Instrument as _;
 use uuid::Uuid;
 
 /// Name of the blob that holds the study.
@@ -65,6 +68,7 @@ pub(super) struct Inner {
     running: Mutex<HashMap<Uuid, Arc<Progress>>>,
     /// Who hears what other nodes tell.
     listener: OnceLock<AbortHandle>,
+    pub(super) last_probe: LastProbe,
 }
 
 impl Drop for Inner {
@@ -101,6 +105,7 @@ impl Store {
             work_ready: Notify::new(),
             running: Mutex::default(),
             listener: OnceLock::new(),
+            last_probe: LastProbe::default(),
         };
         let store = Self { inner: Arc::new(inner) };
         if !store.inner.database.is_shared() {
@@ -138,7 +143,7 @@ impl Store {
     /// A job.
     pub async fn get(&self, id: Uuid) -> Result<Option<Job>, StoreError> {
         let sql = format!("{SELECT} WHERE id = $1");
-        self.inner.database.fetch_one(&sql, values![id]).await?.map(|row| self.job(&row)).transpose()
+        timed(Operation::Read, self.inner.database.fetch_one(&sql, values![id])).await?.map(|row| self.job(&row)).transpose()
     }
 
     /// Whose a job is.
@@ -177,7 +182,7 @@ impl Store {
         let state = query.state.map(|state| state.name().to_owned());
         let cursor = query.cursor.map(|id| id.to_string());
         let values = values![state, query.study_instance_uid, cursor, query.owner, limit as i64 + 1];
-        let rows = self.inner.database.fetch(&sql, values).await?;
+        let rows = timed(Operation::Read, self.inner.database.fetch(&sql, values)).await?;
         let mut jobs = rows.iter().map(|row| self.job(row)).collect::<Result<Vec<_>, _>>()?;
         let more = jobs.len() > limit;
         jobs.truncate(limit);
@@ -187,7 +192,7 @@ impl Store {
     /// Cancels a job that is not finished, deletes one that is, with all its data. Runs to its end even if the caller goes away.
     pub async fn delete(&self, id: Uuid) -> Result<Deletion, StoreError> {
         let store = self.clone();
-        tokio::spawn(async move { store.delete_to_end(id).await }).await.map_err(|_| StoreError::Interrupted)?
+        tokio::spawn(async move { store.delete_to_end(id).await }.in_current_span()).await.map_err(|_| StoreError::Interrupted)?
     }
 
     async fn delete_to_end(&self, id: Uuid) -> Result<Deletion, StoreError> {
@@ -230,7 +235,7 @@ impl Store {
     /// `gates/{n}/wall.vtu` (n from 1).
     pub async fn blob(&self, id: Uuid, name: &str) -> Result<Option<Blob>, StoreError> {
         let sql = "SELECT media_type, sha256, data FROM blobs WHERE job_id = $1 AND name = $2";
-        let Some(row) = self.inner.database.fetch_one(sql, values![id, name]).await? else { return Ok(None) };
+        let Some(row) = timed(Operation::Read, self.inner.database.fetch_one(sql, values![id, name])).await? else { return Ok(None) };
         let (media_type, sha256, data) = (row.get(0)?, row.get::<String>(1)?, row.get(2)?);
         drop(row);
         let data = intact(sha256.clone(), data, || format!("{name} of job {id}")).await?;
@@ -383,11 +388,6 @@ pub(super) async fn intact(stored_sha256: String, data: Vec<u8>, what: impl FnOn
 async fn recent_durations_s(database: &Database) -> Result<Vec<f64>, StoreError> {
     let sql = "SELECT finished_at - started_at FROM jobs WHERE state = 'succeeded' AND started_at IS NOT NULL ORDER BY id DESC LIMIT 32";
     database.fetch(sql, vec![]).await?.iter().map(|row| Ok(row.get::<i64>(0)?.max(0) as f64 / 1e3)).collect()
-}
-
-/// Counts a job that reached a final state.
-pub(super) fn finished(state: State) {
-    metrics::counter!("ventricle_jobs_finished_total", "state" => state.name()).increment(1);
 }
 
 pub(super) fn parse_id(text: &str) -> Result<Uuid, StoreError> {

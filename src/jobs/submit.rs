@@ -7,9 +7,11 @@ use super::{
     inbox::Members,
     input,
     job::{NewJob, Submitted},
+    numbers::{Operation, timed},
     queue::{Load, Reservation},
     store::{INPUT, SUBJECT, Store, insert_blob, parse_id, sha256},
 };
+use tracing::Instrument as _;
 use uuid::Uuid;
 
 impl Store {
@@ -21,7 +23,8 @@ impl Store {
     /// Likewise, and notes in the same transaction that the job took these instances. Where a job has all of them already, it gives that one.
     pub async fn submit_assembled(&self, reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
         let store = self.clone();
-        tokio::spawn(async move { store.submit_to_end(reservation, new, members).await }).await.map_err(|_| StoreError::Interrupted)?
+        let submit = async move { timed(Operation::Submit, store.submit_to_end(reservation, new, members)).await };
+        tokio::spawn(submit.in_current_span()).await.map_err(|_| StoreError::Interrupted)?
     }
 
     async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
@@ -58,6 +61,8 @@ impl Store {
         self.inner.work_ready.notify_one();
         self.inner.watchers.announce(id);
         metrics::counter!("ventricle_jobs_submitted_total").increment(1);
+        // Inside of the request that made it, if one did: its id and the job's stand in one line.
+        tracing::info!(job_id = %id, "job accepted");
         Ok(Submitted::Created(job))
     }
 }

@@ -1,6 +1,6 @@
 //! What a job computes: reconstruction, report, surfaces and walls.
 
-use super::progress::Progress;
+use super::{numbers::stages_took, progress::Progress};
 use crate::{
     analysis::analyse,
     export::{ExportError, glb, vtu},
@@ -9,7 +9,7 @@ use crate::{
     study::Study,
 };
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::{sync::Arc, time::Instant};
 use uuid::Uuid;
 
 /// Name of the report among a job's blobs.
@@ -76,6 +76,7 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     let reconstruction = pipeline::reconstruct(study, parameters, progress)?;
     // A fit that came to rest early stops short of its steps.
     progress.advance(1, 1);
+    let reconstructed = Instant::now();
     let analysis = analyse(study, &reconstruction);
     let timing = Timing { total_ms: progress.elapsed_ms(), stages_ms: progress.stages_ms() };
     let report = report::build(&id.to_string(), study, &reconstruction, &analysis, &timing);
@@ -112,6 +113,7 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     for of_gate in gates {
         outputs.extend(of_gate?);
     }
+    stages_took(progress, parameters.preset, reconstructed.elapsed().as_secs_f64());
     Ok(outputs)
 }
 

@@ -157,7 +157,7 @@ impl Worker {
                     backoff = Backoff::default();
                     // Where one job was, there may be another for a worker that was not told.
                     self.store.inner.work_ready.notify_one();
-                    let span = tracing::info_span!("job", id = %claim.id, attempt = claim.attempt);
+                    let span = tracing::info_span!("job", job_id = %claim.id, attempt = claim.attempt);
                     given_back += usize::from(self.work_on(claim).instrument(span).await);
                 }
                 Ok(None) => {

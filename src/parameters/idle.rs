@@ -16,19 +16,11 @@ const OF_ONE_PRESET: [(&str, Preset); 7] = [
     ("/deform", Preset::Paper),
 ];
 
-/// The name of a preset in requests.
-pub(super) fn name(preset: Preset) -> &'static str {
-    match preset {
-        Preset::Clinical => "clinical",
-        Preset::Paper => "paper",
-    }
-}
-
 /// The presets that read a parameter, the default one first.
 pub(super) fn presets(pointer: &str) -> Vec<&'static str> {
     match only(pointer) {
-        Some(preset) => vec![name(preset)],
-        None => [Preset::Clinical, Preset::Paper].map(name).to_vec(),
+        Some(preset) => vec![preset.name()],
+        None => [Preset::Clinical, Preset::Paper].map(Preset::name).to_vec(),
     }
 }
 
@@ -42,7 +34,7 @@ fn only(pointer: &str) -> Option<Preset> {
 pub(super) fn refuse_of_other_preset(written: &Value, used: &Parameters) -> Result<(), ParameterError> {
     let beside = |pointer: &str| {
         let other = only(pointer).filter(|preset| *preset != used.preset)?;
-        Some((format!("the preset `{}`", name(used.preset)), format!("the preset `{}`", name(other))))
+        Some((format!("the preset `{}`", used.preset.name()), format!("the preset `{}`", other.name())))
     };
     refuse(written, used, &beside)
 }

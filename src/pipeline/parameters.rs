@@ -71,6 +71,16 @@ pub enum Preset {
     Paper,
 }
 
+impl Preset {
+    /// The name used in JSON and metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Clinical => "clinical",
+            Self::Paper => "paper",
+        }
+    }
+}
+
 /// Marks a user gives; what is absent is estimated from the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -242,7 +242,7 @@ fn notes(first: &Report, second: &Report) -> Vec<Warning> {
     }
     let presets = both.map(|report| report.parameters.preset);
     if presets[0] != presets[1] {
-        let [one, other] = presets.map(name);
+        let [one, other] = presets.map(Preset::name);
         note(
             "presets_differ",
             format!("The first was measured by the preset `{one}`, the second by `{other}`: methods differ by more than hearts do."),
@@ -281,13 +281,6 @@ fn notes(first: &Report, second: &Report) -> Vec<Warning> {
         }
     }
     notes
-}
-
-fn name(preset: Preset) -> &'static str {
-    match preset {
-        Preset::Clinical => "clinical",
-        Preset::Paper => "paper",
-    }
 }
 
 impl ComparedStudy {

@@ -1,7 +1,11 @@
 //! What `docs/operations.md` lists is what the program has: every setting and every metric, no more and no less.
 
 use clap::{Arg, Args as _, Command};
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
 use ventricle::config::ServeSettings;
 
 fn root() -> &'static Path {
@@ -85,11 +89,72 @@ fn what_is_deployed_names_settings_that_are_there_and_gives_time_to_stop() {
 fn every_metric_is_in_the_table() {
     let mut expected = BTreeSet::new();
     metrics_in(&root().join("src"), &mut expected);
+    expected.extend(ventricle::telemetry::process::readings().iter().map(|reading| reading.name.to_owned()));
     assert!(expected.len() > 8, "{expected:?}");
     let written: Vec<String> = table("## Metrics").iter().map(|row| row.split('`').nth(1).unwrap().to_owned()).collect();
     let unique: BTreeSet<String> = written.iter().cloned().collect();
     assert_eq!(unique.len(), written.len(), "a metric is listed twice: {written:?}");
     assert_eq!(unique, expected, "the table of metrics in docs/operations.md (left) differs from the sources (right)");
+}
+
+/// Metrics that the table has, with their labels.
+fn listed() -> BTreeMap<String, BTreeSet<String>> {
+    let quoted = |cell: &str| cell.split('`').skip(1).step_by(2).map(str::to_owned).collect::<Vec<_>>();
+    let rows = table("## Metrics");
+    let cells = rows.iter().map(|row| row.trim_matches('|').split('|').collect::<Vec<_>>());
+    cells.map(|cells| (quoted(cells[0]).remove(0), quoted(cells[2]).into_iter().collect())).collect()
+}
+
+/// The metrics that a text names, each with the labels that it asks for.
+fn asked(text: &str) -> Vec<(String, BTreeSet<String>)> {
+    let is_name = |letter: char| letter.is_ascii_alphanumeric() || letter == '_';
+    let mut found = Vec::new();
+    for (start, _) in ["ventricle_", "process_"].into_iter().flat_map(|prefix| text.match_indices(prefix)) {
+        if text[..start].ends_with(is_name) {
+            continue;
+        }
+        let name = text[start..].split(|letter| !is_name(letter)).next().unwrap();
+        let rest = &text[start + name.len()..];
+        let selected = rest.strip_prefix('{').map_or("", |rest| rest.split('}').next().unwrap());
+        let labels = selected.split(',').filter_map(|pair| Some(pair.split_once('=')?.0.trim_end_matches('!').trim().to_owned()));
+        let histogram = ["_bucket", "_sum", "_count"].into_iter().find_map(|end| name.strip_suffix(end));
+        found.push((histogram.unwrap_or(name).to_owned(), labels.collect()));
+    }
+    found
+}
+
+#[test]
+fn what_is_watched_is_what_is_measured() {
+    let listed = listed();
+    let dashboard = fs::read_to_string(root().join("deploy/grafana/ventricle.json")).unwrap();
+    let dashboard: serde_json::Value = serde_json::from_str(&dashboard).unwrap();
+    let expressions: Vec<&str> = dashboard["panels"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .flat_map(|panel| panel["targets"].as_array().into_iter().flatten())
+        .map(|target| target["expr"].as_str().unwrap())
+        .collect();
+    assert!(expressions.len() > 30, "{}", expressions.len());
+    let rules = fs::read_to_string(root().join("deploy/prometheus/alerts.yaml")).unwrap();
+    let tests = fs::read_to_string(root().join("deploy/prometheus/alerts-test.yaml")).unwrap();
+    let mut shown = BTreeSet::new();
+    for (what, text) in [("the dashboard", expressions.join("\n")), ("alerts.yaml", rules), ("alerts-test.yaml", tests)] {
+        let asked = asked(&text);
+        assert!(asked.len() > 15, "{what}: {asked:?}");
+        for (name, labels) in asked {
+            let known = listed.get(&name).unwrap_or_else(|| panic!("{what} asks for {name}, which is not in the table of metrics"));
+            // What Prometheus adds.
+            let unknown: Vec<_> =
+                labels.iter().filter(|label| !known.contains(*label) && *label != "instance" && *label != "job").collect();
+            assert!(unknown.is_empty(), "{what}: {name} has no label {unknown:?}");
+            if what == "the dashboard" {
+                shown.insert(name);
+            }
+        }
+    }
+    let missing: Vec<_> = listed.keys().filter(|name| !shown.contains(*name)).collect();
+    assert!(missing.is_empty(), "not on the dashboard: {missing:?}");
 }
 
 /// The names in `counter!("…")`, `gauge!("…")` and `histogram!("…")` of the sources, tests left out.

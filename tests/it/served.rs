@@ -55,13 +55,22 @@ impl Served {
 
     /// The same at an address.
     pub(crate) fn start_at(data: &Path, listen: &str, flags: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_ventricle"))
-            .args(["serve", "--listen", listen, "--log", "warn", "--data-dir"])
-            .arg(data)
-            .args(flags)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ventricle"));
+        command.args(["serve", "--listen", listen, "--log", "warn", "--data-dir"]).arg(data);
+        Self::start_by(command, flags)
+    }
+
+    /// The same with all that it logs, as JSON, in a file.
+    pub(crate) fn start_logging(data: &Path, log: &Path, flags: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ventricle"));
+        command.args(["serve", "--listen", "127.0.0.1:0", "--log", "warn,ventricle=trace", "--log-format", "json", "--data-dir"]).arg(data);
+        command.stderr(std::fs::File::create(log).unwrap());
+        Self::start_by(command, flags)
+    }
+
+    /// By a command that ends in flags of the service.
+    pub(crate) fn start_by(mut command: Command, flags: &[&str]) -> Self {
+        let mut child = command.args(flags).stdout(Stdio::piped()).spawn().unwrap();
         let (mut line, mut stdout) = (String::new(), BufReader::new(child.stdout.take().unwrap()));
         stdout.read_line(&mut line).unwrap();
         let mut dimse = String::new();

@@ -1,77 +1,23 @@
 //! The attributes that are read, through the DICOM parser; everything else (names, dates, private groups) never reaches it.
 
+use super::allowed::is_allowed;
 use crate::intake::error::shown;
 use crate::intake::prescan::{Element, Scan};
 use crate::intake::{IntakeError, Limits, ScanError};
 use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_core::value::Value;
 use dicom_core::{Tag, VR, header::Header as _};
-use dicom_dictionary_std::{StandardDataDictionary, tags};
+use dicom_dictionary_std::StandardDataDictionary;
 use dicom_object::InMemDicomObject;
 use dicom_transfer_syntax_registry::entries;
 use sha2::{Digest as _, Sha256};
-
-/// The attributes that the intake reads from the outermost data set. None of them names the patient: of group 0010 they are size and weight.
-const READ: [Tag; 51] = [
-    tags::IMAGE_TYPE,
-    tags::SOP_CLASS_UID,
-    tags::SOP_INSTANCE_UID,
-    tags::MODALITY,
-    tags::PATIENT_SIZE,
-    tags::PATIENT_WEIGHT,
-    tags::SLICE_THICKNESS,
-    tags::SPACING_BETWEEN_SLICES,
-    tags::TRIGGER_TIME,
-    tags::NOMINAL_INTERVAL,
-    tags::FRAME_TIME,
-    tags::BEAT_REJECTION_FLAG,
-    tags::LOW_RR_VALUE,
-    tags::HIGH_RR_VALUE,
-    tags::INTERVALS_ACQUIRED,
-    tags::INTERVALS_REJECTED,
-    tags::HEART_RATE,
-    tags::STUDY_INSTANCE_UID,
-    tags::SERIES_INSTANCE_UID,
-    tags::FRAME_OF_REFERENCE_UID,
-    tags::INSTANCE_NUMBER,
-    tags::IMAGE_POSITION_PATIENT,
-    tags::IMAGE_ORIENTATION_PATIENT,
-    tags::SLICE_LOCATION,
-    tags::SAMPLES_PER_PIXEL,
-    tags::PHOTOMETRIC_INTERPRETATION,
-    tags::NUMBER_OF_FRAMES,
-    tags::FRAME_INCREMENT_POINTER,
-    tags::ROWS,
-    tags::COLUMNS,
-    tags::PIXEL_SPACING,
-    tags::BITS_ALLOCATED,
-    tags::BITS_STORED,
-    tags::HIGH_BIT,
-    tags::PIXEL_REPRESENTATION,
-    tags::RESCALE_INTERCEPT,
-    tags::RESCALE_SLOPE,
-    tags::ENERGY_WINDOW_VECTOR,
-    tags::DETECTOR_VECTOR,
-    tags::DETECTOR_INFORMATION_SEQUENCE,
-    tags::PHASE_VECTOR,
-    tags::ROTATION_VECTOR,
-    tags::RR_INTERVAL_VECTOR,
-    tags::GATED_INFORMATION_SEQUENCE,
-    tags::TIME_SLOT_VECTOR,
-    tags::NUMBER_OF_TIME_SLOTS,
-    tags::SLICE_VECTOR,
-    tags::NUMBER_OF_SLICES,
-    tags::ANGULAR_VIEW_VECTOR,
-    tags::IMAGE_ID,
-    tags::TEMPORAL_POSITION_IDENTIFIER,
-];
 
 /// Stack of the thread that parses: at most 32 nested sequences of about 8 KiB a level, with a wide margin.
 const STACK_BYTES: usize = 8 << 20;
 
 /// Whether an element of the outermost data set is among those that are read.
 pub(super) fn is_read(element: &Element) -> bool {
-    element.unambiguous && READ.contains(&element.tag)
+    element.unambiguous && is_allowed(element.tag)
 }
 
 /// A data set, or an item of a sequence in it.
@@ -83,7 +29,7 @@ pub(super) struct Attributes {
 }
 
 impl Attributes {
-    /// Parses the attributes of [`READ`].
+    /// Parses the attributes of [`ALLOWED`](super::allowed::ALLOWED).
     pub(super) fn parse(scan: &Scan<'_>, limits: &Limits) -> Result<Self, IntakeError> {
         let mut excerpt = Vec::new();
         for element in scan.elements.iter().filter(|element| is_read(element)) {
@@ -203,9 +149,35 @@ impl Attributes {
     }
 }
 
-/// An attribute error with its value shortened.
+/// An attribute error with its value shortened. A text where a number or a code string belongs may be anything, a name among them: it is not
+/// repeated.
 pub(super) fn invalid(tag: Tag, name: &'static str, value: &str, expected: &str) -> IntakeError {
-    IntakeError::InvalidAttribute { name, tag: tag.to_string(), value: format!("\"{}\"", shown(value)), expected: expected.to_owned() }
+    let value = if is_number_like(value) || is_code(value) { format!("\"{}\"", shown(value)) } else { unrepeated(value) };
+    IntakeError::InvalidAttribute { name, tag: tag.to_string(), value, expected: expected.to_owned() }
+}
+
+/// Whether a text consists of what numbers are written with: it names nobody.
+fn is_number_like(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_digit() || b"+-.,eE[] ".contains(&byte)) || ["inf", "-inf", "NaN", "nan"].contains(&text)
+}
+
+/// Whether a text is a code string as DICOM has them (PS3.5 6.2): at most 16 capital letters, digits, spaces and underscores.
+fn is_code(text: &str) -> bool {
+    text.len() <= 16 && text.bytes().all(|byte| byte.is_ascii_uppercase() || byte.is_ascii_digit() || b" _".contains(&byte))
+}
+
+/// A code string for a sentence, or what is said instead of a text that is none.
+pub(super) fn shown_code(text: &str) -> String {
+    if is_code(text) { text.to_owned() } else { unrepeated(text) }
+}
+
+/// A UID for a sentence, likewise.
+pub(super) fn shown_uid(text: &str) -> String {
+    if text.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') { shown(text) } else { unrepeated(text) }
+}
+
+fn unrepeated(text: &str) -> String {
+    format!("a text of {} characters that is not repeated here", text.chars().count())
 }
 
 /// A value of unknown VR as text, by the VR that the dictionary gives its attribute. UN is little-endian.

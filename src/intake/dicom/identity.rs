@@ -1,6 +1,6 @@
 //! What a DICOM object is: only tomographic reconstructions of Nuclear Medicine Image Storage go further.
 
-use super::attributes::Attributes;
+use super::attributes::{Attributes, shown_code, shown_uid};
 use crate::intake::IntakeError;
 use crate::intake::error::shown;
 use crate::intake::prescan::Scan;
@@ -85,9 +85,9 @@ pub(super) fn check(attributes: &Attributes, scan: &Scan<'_>, frames: usize, war
                     advice: "neither it nor SOP Class UID (0008,0016) says what the object is, and only NM images are reconstructed",
                 });
             }
-            (Some(uid), Some(modality)) => format!("{} (modality {})", class_name(uid), shown(modality)),
+            (Some(uid), Some(modality)) => format!("{} (modality {})", class_name(uid), shown_code(modality)),
             (Some(uid), None) => class_name(uid),
-            (None, Some(modality)) => format!("a DICOM object of modality {}", shown(modality)),
+            (None, Some(modality)) => format!("a DICOM object of modality {}", shown_code(modality)),
         };
         return Err(IntakeError::NotNuclearMedicine { received });
     }
@@ -115,13 +115,13 @@ fn class_name(uid: &str) -> String {
     CLASSES
         .iter()
         .find(|(known, _)| *known == uid)
-        .map_or_else(|| format!("a DICOM object of SOP class {}", shown(uid)), |(_, name)| (*name).to_owned())
+        .map_or_else(|| format!("a DICOM object of SOP class {}", shown_uid(uid)), |(_, name)| (*name).to_owned())
 }
 
 /// Judges Image Type (0008,0008), value 3, against the vectors that are there.
 fn image_kind(attributes: &Attributes, frames: usize, warnings: &mut Vec<Warning>) -> Result<Kind, IntakeError> {
     let values = attributes.texts(tags::IMAGE_TYPE);
-    let image_type = shown(&values.join("\\"));
+    let image_type = shown(&values.iter().map(|value| shown_code(value)).collect::<Vec<_>>().join("\\"));
     let present = |tag: Tag| attributes.has(tag) || attributes.points_at(tags::FRAME_INCREMENT_POINTER, tag);
     let slices = present(tags::SLICE_VECTOR);
     let views = present(tags::ANGULAR_VIEW_VECTOR) || present(tags::ROTATION_VECTOR);

@@ -3,6 +3,7 @@
 //! The checks run in the order that gives the best answer: what the object is ([`identity`]), how its pixels are encoded ([`syntaxes`], [`pixels`]),
 //! which frame is which slice of which gate ([`frames`]), where they lie ([`geometry`]), and how several files make one study ([`series`]).
 
+mod allowed;
 mod attributes;
 mod body;
 mod encapsulated;
@@ -19,6 +20,7 @@ mod subject;
 mod syntaxes;
 mod timing;
 
+pub use allowed::{ALLOWED, Allowed};
 pub use identity::STORAGE_CLASSES;
 pub use instance::{Instance, Refused, examine};
 pub use parts::Holds;

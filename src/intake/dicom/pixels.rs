@@ -5,11 +5,10 @@
 //! header declares (17 GB for one flipped byte) and panics on short segments. Here nothing is allocated beyond the declared frame, and what
 //! `codecs` decodes is decoded in a process of its own.
 
-use super::attributes::{Attributes, invalid};
+use super::attributes::{Attributes, invalid, shown_uid};
 use super::encapsulated;
 use super::syntaxes::Encoding;
 use crate::codecs::{self, Codec, DecodeError, HeaderError, Layout};
-use crate::intake::error::shown;
 use crate::intake::prescan::{self, Scan};
 use crate::intake::{IntakeError, Limits};
 use crate::study::Warning;
@@ -69,7 +68,7 @@ impl<'a> Pixels<'a> {
         warnings: &mut Vec<Warning>,
     ) -> Result<Self, IntakeError> {
         let uid = scan.encoding.uid.as_str();
-        let unsupported = |name: &str| IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: shown(uid) };
+        let unsupported = |name: &str| IntakeError::UnsupportedTransferSyntax { name: name.to_owned(), uid: shown_uid(uid) };
         let (encoding, name) = Encoding::of(uid).map_err(unsupported)?;
         let mut samples = Samples::of(attributes, scan.encoding.big_endian, warnings)?;
         let frame_samples = rows * columns;

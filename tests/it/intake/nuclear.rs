@@ -280,7 +280,7 @@ fn numbers_that_make_no_sense_are_refused() {
         (is("2147483647"), "outside_limits", "2147483647 frames"),
         (is("0"), "invalid_attribute", "Number of Frames (0028,0008)"),
         (is("-5"), "invalid_attribute", "Number of Frames (0028,0008)"),
-        (is("abcd"), "invalid_attribute", "\"abcd\""),
+        (is("abcd"), "invalid_attribute", "a text of 4 characters that is not repeated here"),
         (words((0x28, 0x101), &[0]), "invalid_attribute", "Bits Stored (0028,0101)"),
         (words((0x28, 0x101), &[99]), "invalid_attribute", "Bits Stored (0028,0101)"),
         (words((0x28, 0x102), &[7]), "invalid_attribute", "High Bit (0028,0102)"),
