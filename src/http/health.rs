@@ -1,7 +1,7 @@
 //! Whether the service lives, whether it can take work, and its numbers.
 
 use super::{AppState, problem::Problem};
-use crate::{jobs::Probe, telemetry};
+use crate::{access::Audit, jobs::Probe, telemetry};
 use axum::{
     Json,
     extract::State,
@@ -42,6 +42,8 @@ pub struct Checks {
     pub queue: Check,
     /// There is room on the disk.
     pub disk: Check,
+    /// The audit log, where there is one, is written.
+    pub audit: Check,
     /// The service is not stopping.
     pub service: Check,
 }
@@ -65,8 +67,9 @@ impl Check {
 }
 
 impl Checks {
-    fn all(&self) -> [(&'static str, &Check); 5] {
-        [("store", &self.store), ("workers", &self.workers), ("queue", &self.queue), ("disk", &self.disk), ("service", &self.service)]
+    fn all(&self) -> [(&'static str, &Check); 6] {
+        let Self { store, workers, queue, disk, audit, service } = self;
+        [("store", store), ("workers", workers), ("queue", queue), ("disk", disk), ("audit", audit), ("service", service)]
     }
 }
 
@@ -128,11 +131,17 @@ async fn checks(state: &AppState) -> Checks {
         (false, true) => "take no more jobs",
         (false, false) => "a worker has ended",
     };
+    let audit = match state.audit.as_ref().map(Audit::is_writable) {
+        None => Check::new(true, "there is none"),
+        Some(true) => Check::new(true, "takes what is written"),
+        Some(false) => Check::new(false, "cannot be written"),
+    };
     Checks {
         store,
         workers: Check::new(workers, doing),
         queue,
         disk: disk(state).await,
+        audit,
         service: Check::new(!draining, if draining { "is stopping" } else { "accepts work" }),
     }
 }

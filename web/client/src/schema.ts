@@ -869,7 +869,7 @@ export interface components {
         };
         /** @description What readiness rests on. */
         Checks: {
-            /** @description The database answers. */
+            /** @description The database answers and can be written. */
             store: components["schemas"]["ReadinessCheck"];
             /** @description Workers run. */
             workers: components["schemas"]["ReadinessCheck"];
@@ -877,6 +877,8 @@ export interface components {
             queue: components["schemas"]["ReadinessCheck"];
             /** @description There is room on the disk. */
             disk: components["schemas"]["ReadinessCheck"];
+            /** @description The audit log, where there is one, is written. */
+            audit: components["schemas"]["ReadinessCheck"];
             /** @description The service is not stopping. */
             service: components["schemas"]["ReadinessCheck"];
         };
