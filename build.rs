@@ -1,6 +1,8 @@
 //! Tells the program what it was built from, and builds the crate again when the viewer was built: `rust-embed` knows of changed files, but not
 //! of new ones. Runs `git` and `rustc` to ask them, nothing else, npm least of all: without `web/dist` the program is built without the viewer.
 
+#![expect(clippy::disallowed_methods, reason = "cargo tells a build script by the environment")]
+
 use std::{env, path::Path, process::Command};
 
 /// What is told where nobody knows.
