@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs the service as the image does, without an engine for containers: contained.sh PROGRAM ROOT DATA [ARGUMENT…]. ROOT becomes a root directory with
-# the program, the libraries it is linked to and /dev/null, nothing else, and read-only; DATA is /data in it. No shell, no capability, no new privileges, processes of
+# the program, the libraries it is linked to and /dev/null, nothing else, and read-only; DATA is /data in it. No shell; processes of
 # its own. Needs user namespaces; ends with status 3 where the system gives none.
 set -euo pipefail
 
