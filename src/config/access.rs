@@ -15,8 +15,8 @@ const KEYS_FILE: &str = "keys.json";
 /// Who may come in.
 #[derive(Debug, Clone, Args)]
 pub struct AccessSettings {
-    /// File of API keys, as `ventricle keys` writes it [default: `keys.json` in the data directory, if it is there]. With one, every request
-    /// needs a key, on loopback too.
+    /// File of API keys, as `ventricle keys` writes it; with one every request needs a key, on loopback too [default: `keys.json` in the data
+    /// directory, if it is there].
     #[arg(long, env = "VENTRICLE_KEYS_FILE")]
     pub keys_file: Option<PathBuf>,
 

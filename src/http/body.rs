@@ -5,10 +5,16 @@ use axum::{
     body::{Body, BodyDataStream, Bytes},
     http::{HeaderMap, header},
 };
-use futures_util::{FutureExt, StreamExt, stream};
+use futures_util::{FutureExt, Stream, StreamExt, stream};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
-use std::{convert::Infallible, time::Duration};
+use std::{
+    convert::Infallible,
+    pin::Pin,
+    sync::{Arc, Mutex, PoisonError},
+    task::{Context, Poll},
+    time::Duration,
+};
 
 /// Most parts of a multipart body: one slice a file of the largest stack, and its parameters. Beyond it, headers cost more than content.
 const MOST_PARTS: usize = 4097;
@@ -134,7 +140,7 @@ pub(super) async fn discard(headers: &HeaderMap, body: Body, limit: u64) {
     }
 }
 
-async fn discard_rest(chunks: &mut BodyDataStream, limit: u64) {
+async fn discard_rest(chunks: &mut (impl Stream<Item = Result<Bytes, axum::Error>> + Unpin), limit: u64) {
     let arrival = async {
         let mut left = limit.saturating_mul(DISCARD_LIMITS);
         while let Some(Ok(chunk)) = chunks.next().await
@@ -147,13 +153,39 @@ async fn discard_rest(chunks: &mut BodyDataStream, limit: u64) {
     let _ = tokio::time::timeout(DISCARD_TIME, arrival).await;
 }
 
-/// Reads a whole body of at most `limit` bytes within a time.
-pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
-    tokio::time::timeout(within, collect(body, limit)).await.unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
+/// A body that may be refused in the middle, by whom it was given on to: what is left of it can be let in all the same. Clones are of the same one.
+#[derive(Clone)]
+pub(super) struct Arriving(Arc<Mutex<BodyDataStream>>);
+
+impl Arriving {
+    pub(super) fn new(body: Body) -> Self {
+        Self(Arc::new(Mutex::new(body.into_data_stream())))
+    }
+
+    /// As [`discard`].
+    pub(super) async fn discard(mut self, headers: &HeaderMap, limit: u64) {
+        if !headers.contains_key(header::EXPECT) {
+            discard_rest(&mut self, limit).await;
+        }
+    }
 }
 
-pub(super) async fn collect(body: Body, limit: u64) -> Result<Bytes, BodyError> {
-    let mut chunks = body.into_data_stream();
+impl Stream for Arriving {
+    type Item = Result<Bytes, axum::Error>;
+
+    fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).poll_next_unpin(context)
+    }
+}
+
+/// Reads a whole body of at most `limit` bytes within a time.
+pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
+    tokio::time::timeout(within, collect(body.into_data_stream(), limit))
+        .await
+        .unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
+}
+
+pub(super) async fn collect(mut chunks: impl Stream<Item = Result<Bytes, axum::Error>> + Unpin, limit: u64) -> Result<Bytes, BodyError> {
     let mut bytes = Vec::new();
     while let Some(chunk) = chunks.next().await {
         let chunk = chunk.map_err(|_| BodyError::Interrupted)?;

@@ -7,8 +7,7 @@
 use super::{
     AppState,
     access::Calling,
-    body,
-    body::BodyError,
+    body::{self, Arriving, BodyError},
     extract::StudyUid,
     layers::Told,
     negotiate,
@@ -19,7 +18,7 @@ use super::{
 use crate::assembly::{MOST_WAITING_BYTES, Received, Reception, Way};
 use axum::{
     Extension,
-    body::{Body, BodyDataStream, Bytes},
+    body::{Body, Bytes},
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
@@ -116,11 +115,16 @@ async fn receive(
         }
     };
     let reception = state.assembler().reception(&calling.0.owner, Way::Stow, study_uid);
-    let reading = read(state, headers, body, reception);
-    let reception = tokio::time::timeout(state.study_time(), reading)
-        .await
-        .unwrap_or(Err(BodyError::TooSlow { seconds: state.study_time().as_secs() }))?;
-    answer(reception.end().await)
+    let body = Arriving::new(body);
+    let reading = read(state, headers, body.clone(), reception);
+    let read = tokio::time::timeout(state.study_time(), reading).await;
+    match read.unwrap_or(Err(BodyError::TooSlow { seconds: state.study_time().as_secs() })) {
+        Ok(reception) => answer(reception.end().await),
+        Err(refusal) => {
+            body.discard(headers, state.study_bytes).await;
+            Err(refusal.into())
+        }
+    }
 }
 
 /// What the headers of a request decide before its body is read: whether it is, and its room in the memory.
@@ -139,7 +143,7 @@ async fn admit(state: &AppState, headers: &HeaderMap) -> Result<Room, Problem> {
 }
 
 /// Hands the files of a body to the reception, one after the other.
-async fn read(state: &AppState, headers: &HeaderMap, body: Body, mut reception: Reception) -> Result<Reception, BodyError> {
+async fn read(state: &AppState, headers: &HeaderMap, body: Arriving, mut reception: Reception) -> Result<Reception, BodyError> {
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     let limit = state.limits.body_bytes as u64;
     let Some(boundary) = content_type.filter(|value| body::is_multipart(value)) else {
@@ -148,7 +152,7 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Body, mut reception: 
     };
     let boundary = body::boundary(boundary).ok_or(BodyError::NoBoundary)?;
     let flow = Arc::new(Flow::default());
-    let mut multipart = multer::Multipart::new(metered(body.into_data_stream(), Arc::clone(&flow), state.study_bytes), boundary);
+    let mut multipart = multer::Multipart::new(metered(body, Arc::clone(&flow), state.study_bytes), boundary);
     let mut parts = 0;
     while let Some(mut field) = multipart.next_field().await.map_err(malformed)? {
         flow.used(field.headers().iter().map(|(name, value)| name.as_str().len() + value.len() + 4).sum::<usize>() + MOST_SEPARATION);
@@ -188,7 +192,7 @@ impl Flow {
 }
 
 /// The chunks of a body, of at most so many bytes in all, no faster than the parser gives them back.
-fn metered(mut chunks: BodyDataStream, flow: Arc<Flow>, limit: u64) -> impl Stream<Item = Result<Bytes, BodyError>> + Send {
+fn metered(mut chunks: Arriving, flow: Arc<Flow>, limit: u64) -> impl Stream<Item = Result<Bytes, BodyError>> + Send {
     let mut total = 0;
     stream::poll_fn(move |context| {
         if flow.held.load(Ordering::Relaxed) > MOST_HELD_BYTES {

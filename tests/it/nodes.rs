@@ -134,7 +134,7 @@ async fn who_listens_to_all_jobs_hears_of_those_of_other_nodes(place: &Place) {
         told(&mut news, |one| matches!(one, News::Changed(job) if job.id == new.id && job.state == State::Cancelled)).await;
         other.delete(new.id).await.unwrap();
         if hears {
-            told(&mut news, |one| matches!(one, News::Deleted { id, owner } if *id == new.id && owner.as_deref() == Some("test"))).await;
+            told(&mut news, |one| matches!(one, News::Deleted { id, owner } if *id == new.id && owner.as_deref() == Some("someone"))).await;
         }
         listener.close().await;
     }

@@ -55,7 +55,6 @@ async fn clients_that_wait_as_told_all_get_through() {
     // as many other jobs again, and there are only so many.
     let refusals = usize::from((CLIENTS - 1) * JOBS_EACH / PLACES);
     assert!(most.iter().all(|&sent| sent <= 1 + refusals), "times that a study was sent, by client: {most:?}");
-    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
     let wanted = usize::from(CLIENTS * JOBS_EACH) + 1;
     loop {
         let page = service.store.list(ventricle::jobs::ListQuery::default()).await.unwrap();
