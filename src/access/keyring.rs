@@ -14,6 +14,7 @@ use std::{
     collections::HashMap,
     fs::{self, File, OpenOptions},
     io::{self, Write as _},
+    os::unix::fs::{MetadataExt as _, OpenOptionsExt as _},
     path::{Path, PathBuf},
     sync::{Arc, PoisonError, RwLock},
     time::SystemTime,
@@ -234,7 +235,6 @@ fn change<T>(path: &Path, change: impl FnOnce(&mut Vec<KeyRecord>) -> Result<T, 
 
 /// A file that only its owner reads.
 fn private(path: &Path) -> io::Result<File> {
-    use std::os::unix::fs::OpenOptionsExt as _;
     OpenOptions::new().create(true).write(true).truncate(false).mode(0o600).open(path)
 }
 
@@ -251,7 +251,6 @@ fn by_id(keys: Vec<KeyRecord>) -> HashMap<String, Arc<KeyRecord>> {
 fn stamp(path: &Path) -> Stamp {
     let metadata = fs::metadata(path).ok()?;
     // A new file has another number, whatever its clock says.
-    use std::os::unix::fs::MetadataExt as _;
     Some((metadata.modified().ok()?, metadata.ino() ^ metadata.len().rotate_left(32)))
 }
 

@@ -2,7 +2,7 @@
 
 use anyhow::bail;
 use jiff::{SignedDuration, Timestamp};
-use std::path::PathBuf;
+use std::{io::Write as _, path::PathBuf};
 use ventricle::{
     access::{self, KeyRecord, Scope, Wished},
     config::{default_keys_file, owner},
@@ -130,9 +130,11 @@ fn add(asked: Add, place: &Place, file: &std::path::Path) -> anyhow::Result<()> 
         return Ok(());
     }
     println!("{}", made.text);
-    eprintln!("This is the only time that the key is shown. {} has its digest.", file.display());
+    // Beside the output, which may be on its way into a file.
+    let mut said = std::io::stderr();
+    writeln!(said, "This is the only time that the key is shown. {} has its digest.", file.display())?;
     if first {
-        eprintln!("It is the first: a service that runs already asks for keys from its next start on.");
+        writeln!(said, "It is the first: a service that runs already asks for keys from its next start on.")?;
     }
     Ok(())
 }
@@ -147,7 +149,7 @@ fn list(place: &Place, file: &std::path::Path) -> anyhow::Result<()> {
                 "expires_at": key.expires_at, "limits": key.limits,
             })
         };
-        println!("{}", serde_json::Value::from_iter(keys.iter().map(shown)));
+        println!("{}", keys.iter().map(shown).collect::<serde_json::Value>());
         return Ok(());
     }
     let now = Timestamp::now();

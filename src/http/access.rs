@@ -242,7 +242,7 @@ enum Refused {
     Scope(Scope),
     CrossSite,
     OverLimit(OverLimit),
-    Other(Problem),
+    Other(Box<Problem>),
 }
 
 impl From<Refusal> for Refused {
@@ -259,19 +259,21 @@ impl From<OverLimit> for Refused {
 
 impl From<Problem> for Refused {
     fn from(problem: Problem) -> Self {
-        Self::Other(problem)
+        Self::Other(Box::new(problem))
     }
 }
 
 impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let challenge = match &self {
-            Self::Stranger(Refusal::TooManyAttempts { .. } | Refusal::Token(TokenError::Unavailable)) => None,
             // RFC 6750 §3: what was presented was looked at.
             Self::Stranger(Refusal::Nothing) => Some("Bearer realm=\"ventricle\"".to_owned()),
-            Self::Stranger(_) => Some("Bearer realm=\"ventricle\", error=\"invalid_token\"".to_owned()),
             Self::Scope(scope) => Some(format!("Bearer realm=\"ventricle\", error=\"insufficient_scope\", scope=\"{}\"", scope.name())),
-            Self::CrossSite | Self::OverLimit(_) | Self::Other(_) => None,
+            Self::Stranger(Refusal::TooManyAttempts { .. } | Refusal::Token(TokenError::Unavailable))
+            | Self::CrossSite
+            | Self::OverLimit(_)
+            | Self::Other(_) => None,
+            Self::Stranger(_) => Some("Bearer realm=\"ventricle\", error=\"invalid_token\"".to_owned()),
         };
         let asked = matches!(self, Self::Stranger(_));
         let problem = Problem::from(self);
@@ -295,7 +297,7 @@ impl From<Refused> for Problem {
             ..Self::new(StatusCode::TOO_MANY_REQUESTS, code, detail)
         };
         match refused {
-            Refused::Other(problem) => problem,
+            Refused::Other(problem) => *problem,
             Refused::OverLimit(over) => {
                 let code = match over {
                     OverLimit::Requests { .. } => "too_many_requests",
