@@ -2,13 +2,12 @@
 
 use super::service::ServeError;
 use crate::{
-    access::{Access, Allowances, Audit, Fetch, Issuer, Keyring},
+    access::{Access, Allowances, Fetch, Issuer, Keyring},
     callbacks::{Allowed, Sender},
     config::ServeSettings,
 };
 use std::{sync::Arc, time::Duration};
 use tokio::{
-    signal::unix::{SignalKind, signal},
     task::AbortHandle,
     time::{MissedTickBehavior, interval},
 };
@@ -44,7 +43,7 @@ fn fetch<'a>(settings: &ServeSettings, urls: impl Iterator<Item = &'a str>) -> R
     }))
 }
 
-/// Looks after keys and audit log until it is dropped.
+/// Looks after the keys until it is dropped.
 pub(super) struct Watch(AbortHandle);
 
 impl Drop for Watch {
@@ -53,19 +52,15 @@ impl Drop for Watch {
     }
 }
 
-/// Reads the keys again when their file is another, and on SIGHUP, which opens the audit log anew too.
-pub(super) fn watch(access: &Arc<Access>, audit: Option<Audit>) -> Result<Watch, ServeError> {
+/// Reads the keys again when their file is another.
+pub(super) fn watch(access: &Arc<Access>) -> Watch {
     let access = Arc::clone(access);
-    let mut hangup = signal(SignalKind::hangup())?;
     let mut looks = interval(LOOK_EVERY);
     looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let watching = async move {
         let mut told = None;
         loop {
-            tokio::select! {
-                _ = looks.tick() => {}
-                _ = hangup.recv() => if let Some(audit) = &audit { audit.reopen().await },
-            }
+            looks.tick().await;
             let access = Arc::clone(&access);
             // A file may be on a disk that is slow.
             let looked = tokio::task::spawn_blocking(move || access.refresh_keys()).await;
@@ -88,5 +83,5 @@ pub(super) fn watch(access: &Arc<Access>, audit: Option<Audit>) -> Result<Watch,
             }
         }
     };
-    Ok(Watch(tokio::spawn(watching).abort_handle()))
+    Watch(tokio::spawn(watching).abort_handle())
 }

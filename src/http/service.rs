@@ -81,6 +81,7 @@ pub struct Running {
     closing: CancellationToken,
     listener: JoinHandle<()>,
     _admission: admission::Watch,
+    audit: Option<Audit>,
     workers: Arc<Workers>,
     deliveries: Option<Deliveries>,
     dimse: Option<dimse::Listener>,
@@ -106,8 +107,12 @@ impl Running {
         format!("{scheme}://{}", self.address)
     }
 
-    /// Reads certificates and keys again, for the connections from now on. What cannot be used is logged, and the old is used further.
-    pub fn reload_certificates(&self) {
+    /// Reads certificates again, for the connections from now on, and opens the audit log anew. What cannot be used is logged, and the old is used
+    /// further.
+    pub async fn reload(&self) {
+        if let Some(audit) = &self.audit {
+            audit.reopen().await;
+        }
         for acceptor in self.encryption.http.iter().chain(&self.encryption.dimse) {
             match acceptor.reload() {
                 Ok(()) => tracing::info!(listener = %acceptor.purpose(), "the certificate was read again"),
@@ -162,15 +167,15 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let store = Store::open(store_settings(settings)).await?;
     let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
     let mut state = state(settings, &store, &workers).with_access(access);
-    if let Some(audit) = audit {
-        state = state.with_audit(audit);
+    if let Some(audit) = &audit {
+        state = state.with_audit(audit.clone());
     }
     if let Some(rules) = outward.rules {
         state = state.with_callbacks(rules);
     }
     let deliveries = outward.deliveries.map(|settings| callbacks::start(store.clone(), settings));
     let assembly = state.assembler().watch();
-    let admission = admission::watch(&state.access, state.audit.clone())?;
+    let admission = admission::watch(&state.access);
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let dimse = dimse_listener.map(|listener| {
         let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), encryption.dimse.clone());
@@ -190,6 +195,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
         dimse,
         _assembly: assembly,
         _admission: admission,
+        audit,
         store,
         drain_time: settings.drain_time(),
     })
@@ -199,13 +205,14 @@ async fn bind(address: SocketAddr) -> Result<TcpListener, ServeError> {
     TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
 }
 
-/// Runs the service until SIGTERM or SIGINT, then stops it in order. Where it encrypts, SIGHUP has it read its certificates again.
+/// Runs the service until SIGTERM or SIGINT, then stops it in order. Where it encrypts or has an audit log, SIGHUP has it read its certificates
+/// again and open the log anew.
 pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
     // Before the first job: a signal during the start must not end the process half way.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-    // Without a certificate the end of a terminal ends the service, as it does any program.
-    let encrypts = settings.transport.tls().is_some() || settings.dimse_tls_cert.is_some();
-    let mut hangup = encrypts.then(|| signal(SignalKind::hangup())).transpose()?;
+    // With neither, the end of a terminal ends the service, as it does any program.
+    let reloads = settings.transport.tls().is_some() || settings.dimse_tls_cert.is_some() || settings.access.audit_log.is_some();
+    let mut hangup = reloads.then(|| signal(SignalKind::hangup())).transpose()?;
     let running = start(&settings, worker_settings(&settings)).await?;
     let dimse = running.dimse_address().map(|address| format!("\nlistens on dicom://{}@{address}", settings.dimse_ae_title));
     println!("ventricle {} listens on {}{}", env!("CARGO_PKG_VERSION"), running.url(), dimse.unwrap_or_default());
@@ -213,7 +220,7 @@ pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
         tokio::select! {
             _ = terminate.recv() => break,
             _ = interrupt.recv() => break,
-            () = received(&mut hangup) => running.reload_certificates(),
+            () = received(&mut hangup) => running.reload().await,
         }
     }
     tracing::info!(seconds = settings.drain_seconds, "stopping; running jobs may finish within the drain time");
