@@ -15,7 +15,7 @@ export interface Client {
 
 /** How to reach a service. */
 export interface ClientOptions {
-  /** Headers of every request, as `Authorization` for the proxy before the service. */
+  /** Headers of every request, as `Authorization` with a key or token. */
   headers?: Record<string, string>;
   /** Instead of the global `fetch`. */
   fetch?: (request: Request) => Promise<Response>;
