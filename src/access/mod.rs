@@ -90,6 +90,8 @@ pub struct Caller {
     pub allowance: Option<Arc<Allowance>>,
     /// Whether it sees the jobs of all owners: where nobody is asked who he is.
     pub sees_all: bool,
+    /// Whether it came by Basic, which browsers keep and send by themselves.
+    pub by_basic: bool,
     credential: Credential,
 }
 
@@ -102,6 +104,7 @@ impl Caller {
             scopes: vec![Scope::Admin],
             allowance: None,
             sees_all: true,
+            by_basic: false,
             credential: Credential::None,
         }
     }
@@ -218,13 +221,13 @@ impl Access {
 
     async fn recognise(&self, authorization: Option<&[u8]>) -> Result<Caller, Refusal> {
         let presented = Presented::read(authorization.ok_or(Refusal::Nothing)?)?;
-        let secret = presented.secret();
+        let (secret, by_basic) = (presented.secret(), matches!(presented, Presented::Basic(_)));
         if let (false, Some(issuer)) = (key::is_key(secret), &self.issuer) {
             let bearer = issuer.bearer(secret).await?;
             let allowance = self.allowances.of(&format!("token {}", bearer.subject), &keyring::Wished::default());
             let (owner, known_as, scopes) = (bearer.owner, bearer.subject, bearer.scopes);
             let credential = Credential::Token { expires_at: bearer.expires_at };
-            return Ok(Caller { owner, known_as, scopes, allowance: Some(allowance), sees_all: false, credential });
+            return Ok(Caller { owner, known_as, scopes, allowance: Some(allowance), sees_all: false, by_basic, credential });
         }
         let record = self.keyring.as_ref().and_then(|ring| ring.find(secret)).ok_or(Refusal::NoSuchKey)?;
         if record.has_expired(Timestamp::now()) {
@@ -233,6 +236,6 @@ impl Access {
         let allowance = self.allowances.of(&format!("key {}", record.id), &record.limits);
         let (owner, known_as, scopes) = (record.owner.clone(), record.id.clone(), record.scopes.clone());
         let credential = Credential::Key(record.id.clone());
-        Ok(Caller { owner, known_as, scopes, allowance: Some(allowance), sees_all: false, credential })
+        Ok(Caller { owner, known_as, scopes, allowance: Some(allowance), sees_all: false, by_basic, credential })
     }
 }

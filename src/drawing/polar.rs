@@ -81,7 +81,8 @@ impl PolarField<'_> {
     }
 
     /// The value at a radius (0 to 1) and an angle in degrees, between those of the four cells around; `None` where most of it is missing.
-    pub fn at(&self, radius: f64, degrees: f64) -> Option<f64> {
+    #[cfg(test)]
+    fn at(&self, radius: f64, degrees: f64) -> Option<f64> {
         let cells: Vec<_> = self.values.iter().flatten().map(|&value| self.vector(value)).collect();
         if cells.is_empty() { None } else { self.between(&cells, &around(self.cells(), radius, degrees)) }
     }
@@ -118,7 +119,8 @@ impl PolarField<'_> {
     }
 
     /// The colour of a value.
-    pub fn colour(&self, value: Option<f64>) -> [f32; 3] {
+    #[cfg(test)]
+    fn colour(&self, value: Option<f64>) -> [f32; 3] {
         value.map_or(NEUTRAL, |value| self.scale.colour(self.part(value)))
     }
 

@@ -1,7 +1,7 @@
 //! Who may call which route, asked before any handler: what each route needs, and what is answered to whom it is refused.
 
 use super::{AppState, body, client::ClientAddress, layers, problem::Problem};
-use crate::access::{Caller, Deed, Left, OverLimit, Presented, Refusal, Scope, TokenError};
+use crate::access::{Caller, Deed, Left, OverLimit, Refusal, Scope, TokenError};
 use axum::{
     body::Body,
     extract::{FromRequestParts, MatchedPath, Request, State},
@@ -194,8 +194,7 @@ async fn admit(
     if !caller.may(scope) {
         return Err(Refused::Scope(scope));
     }
-    let basic = authorization.is_some_and(|value| matches!(Presented::read(value), Ok(Presented::Basic(_))));
-    if basic && !method.is_safe() && !state.access.is_open() && from_elsewhere(headers) {
+    if caller.by_basic && !method.is_safe() && from_elsewhere(headers) {
         return Err(Refused::CrossSite);
     }
     let Some(allowance) = &caller.allowance else { return Ok((caller, None)) };
