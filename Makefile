@@ -3,7 +3,7 @@
 SHELL := /usr/bin/env bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo build web test chaos bench bench-peers bench-http bench-queue bench-scaling guard guard-update fuzz lint sbom openapi tables accuracy
+.PHONY: help demo build web test chaos soak bench bench-peers bench-http bench-queue bench-scaling guard guard-update fuzz lint sbom openapi tables accuracy
 
 # Absent in a fresh clone; cargo then uses ./target.
 CARGO_TARGET_DIR ?= target
@@ -58,8 +58,17 @@ bench-peers: ## measures beside ITK, SimpleITK, scikit-image, scipy, numba and p
 CHAOS_JOBS ?= 500
 CHAOS_KILLS ?= 8
 
-chaos: ## kills services and databases at random times under 500 real jobs each, and says what came of them
-	CHAOS_JOBS=$(CHAOS_JOBS) CHAOS_KILLS=$(CHAOS_KILLS) cargo test --release --locked --test it chaos:: -- --nocapture --test-threads 1
+# The release is what is tested; the tests need not be built like it.
+release_tests = TEST_PROGRAM="$$(cd "$(CARGO_TARGET_DIR)" && pwd)/release/ventricle" cargo test --locked --test it
+
+chaos: build ## kills services and databases at random times under 500 real jobs each, takes disk, clock, descriptors and database away, and says what came of it
+	CHAOS_JOBS=$(CHAOS_JOBS) CHAOS_KILLS=$(CHAOS_KILLS) $(release_tests) chaos:: -- --nocapture --test-threads 1
+
+# The tests of CI do the same for a minute.
+SOAK_SECONDS ?= 1800
+
+soak: build ## puts the release service under mixed load for half an hour, and judges memory, descriptors, errors and the time of looks
+	SOAK_SECONDS=$(SOAK_SECONDS) $(release_tests) soak:: -- --nocapture
 
 bench-queue: ## measures what the queue carries and what more nodes bring (about five minutes)
 	cargo bench --locked --bench queue

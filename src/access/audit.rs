@@ -81,7 +81,7 @@ impl Audit {
         let file = opened(path).map_err(failed)?;
         let (orders, receiver) = mpsc::channel(BACKLOG);
         let writable = Arc::new(AtomicBool::new(true));
-        let writer = Writer { path: path.to_owned(), file, writable: Arc::clone(&writable) };
+        let writer = Writer { path: path.to_owned(), file, writable: Arc::clone(&writable), torn: false };
         thread::Builder::new().name("audit".to_owned()).spawn(move || writer.run(receiver)).map_err(failed)?;
         Ok(Self { orders, writable })
     }
@@ -114,6 +114,8 @@ struct Writer {
     path: PathBuf,
     file: File,
     writable: Arc<AtomicBool>,
+    /// The last line has no end: the disk was full in the middle of it.
+    torn: bool,
 }
 
 impl Writer {
@@ -121,7 +123,7 @@ impl Writer {
         while let Some(order) = orders.blocking_recv() {
             let done = match order {
                 Order::Write(deed) => self.write(&deed),
-                Order::Reopen => opened(&self.path).map(|file| self.file = file),
+                Order::Reopen => opened(&self.path).map(|file| (self.file, self.torn) = (file, false)),
             };
             if let Err(error) = &done {
                 metrics::counter!("ventricle_audit_failures_total").increment(1);
@@ -131,10 +133,13 @@ impl Writer {
         }
     }
 
-    /// In one call, so that lines of several processes do not mix.
+    /// In one call, so that lines of several processes do not mix. What is left of a line that could not be written ends before the next.
     fn write(&mut self, deed: &Deed) -> io::Result<()> {
-        let mut line = serde_json::to_vec(deed)?;
+        let mut line = if self.torn { vec![b'\n'] } else { Vec::new() };
+        serde_json::to_writer(&mut line, deed)?;
         line.push(b'\n');
-        self.file.write_all(&line)
+        let written = self.file.write(&line)?;
+        self.torn = written < line.len();
+        if self.torn { Err(io::Error::from(io::ErrorKind::WriteZero)) } else { Ok(()) }
     }
 }

@@ -51,6 +51,13 @@ impl Full {
     }
 }
 
+/// As many connections of those that are wanted as leave this many of the system's file descriptors for what else needs one; half of them
+/// where there are too few for that. Else clients that open connections and do nothing would take from the database, and from decoders.
+pub(super) fn within(wanted: usize, descriptors: u64, others: u64) -> usize {
+    let most = descriptors.saturating_sub(others).max(descriptors / 2);
+    wanted.min(usize::try_from(most).unwrap_or(usize::MAX)).max(1)
+}
+
 impl Connections {
     /// At most so many, and so many of one client.
     pub(super) fn new(most: usize, most_of_client: usize) -> Self {
@@ -131,6 +138,12 @@ mod tests {
         drop((second, again));
         let open = connections.0.open.lock().unwrap();
         assert!(open.all == 0 && open.by_client.is_empty(), "{open:?}");
+    }
+
+    #[test]
+    fn connections_leave_descriptors_for_others() {
+        assert_eq!((within(4096, 1 << 20, 300), within(4096, 1024, 300), within(4096, 400, 300)), (4096, 724, 200));
+        assert_eq!((within(10, 1024, 300), within(10, 0, 300), within(10, u64::MAX, 300)), (10, 1, 10));
     }
 
     #[test]

@@ -1,7 +1,11 @@
 //! Whether the service lives, whether it can take work, and its numbers.
 
 use super::{AppState, problem::Problem};
-use crate::{access::Audit, jobs::Probe, telemetry};
+use crate::{
+    access::Audit,
+    jobs::{ClockSet, Probe},
+    telemetry,
+};
 use axum::{
     Json,
     extract::State,
@@ -44,6 +48,10 @@ pub struct Checks {
     pub disk: Check,
     /// The audit log, where there is one, is written.
     pub audit: Check,
+    /// File descriptors are left.
+    pub descriptors: Check,
+    /// The clock runs as time does. Always well; its sentence says if it was set.
+    pub clock: Check,
     /// The service is not stopping.
     pub service: Check,
 }
@@ -67,9 +75,18 @@ impl Check {
 }
 
 impl Checks {
-    fn all(&self) -> [(&'static str, &Check); 6] {
-        let Self { store, workers, queue, disk, audit, service } = self;
-        [("store", store), ("workers", workers), ("queue", queue), ("disk", disk), ("audit", audit), ("service", service)]
+    fn all(&self) -> [(&'static str, &Check); 8] {
+        let Self { store, workers, queue, disk, audit, descriptors, clock, service } = self;
+        [
+            ("store", store),
+            ("workers", workers),
+            ("queue", queue),
+            ("disk", disk),
+            ("audit", audit),
+            ("descriptors", descriptors),
+            ("clock", clock),
+            ("service", service),
+        ]
     }
 }
 
@@ -90,7 +107,7 @@ pub(super) async fn healthz() -> Json<Alive> {
     ),
 )]
 pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>, Problem> {
-    let checks = look(&state).await;
+    let (_, checks) = look(&state).await;
     let failing: Vec<_> =
         checks.all().into_iter().filter(|(_, check)| !check.ok).map(|(name, check)| format!("{name}: {}", check.detail)).collect();
     if failing.is_empty() {
@@ -101,28 +118,31 @@ pub(super) async fn readyz(State(state): State<AppState>) -> Result<Json<Ready>,
 }
 
 /// Looks, and tells the metrics what was seen.
-async fn look(state: &AppState) -> Checks {
-    let checks = checks(state).await;
+async fn look(state: &AppState) -> (Probe, Checks) {
+    let probe = state.store.probe().await;
+    let checks = checks(state, probe).await;
     for (name, check) in checks.all() {
         metrics::gauge!("ventricle_ready", "check" => name).set(if check.ok { 1.0 } else { 0.0 });
     }
-    checks
+    (probe, checks)
 }
 
-async fn checks(state: &AppState) -> Checks {
-    let store = match state.store.probe().await {
+async fn checks(state: &AppState, probe: Probe) -> Checks {
+    let store = match probe {
         Probe::Writable => Check::new(true, "the database answers and takes what is written"),
         Probe::NotWritable => Check::new(false, "the database answers, but takes nothing that is written"),
         Probe::Silent => Check::new(false, "the database does not answer"),
     };
-    let queue = match state.store.counts().await {
-        Ok(counts) => {
+    // A database that does not answer would be waited for once more.
+    let counted = if probe == Probe::Silent { None } else { state.store.counts().await.ok() };
+    let queue = match counted {
+        Some(counts) => {
             let (jobs, mib) = (counts.queued + counts.reserved, counts.queued_bytes >> 20);
             let detail =
                 format!("{jobs} of {} jobs and {mib} of {} MiB are waiting", counts.max_queued_jobs, counts.max_queued_bytes >> 20);
             Check::new(jobs < counts.max_queued_jobs && counts.queued_bytes < counts.max_queued_bytes, detail)
         }
-        Err(_) => Check::new(false, "cannot be counted"),
+        None => Check::new(false, "cannot be counted"),
     };
     let workers = (state.workers_alive)();
     let draining = state.draining.is_cancelled();
@@ -142,8 +162,31 @@ async fn checks(state: &AppState) -> Checks {
         queue,
         disk: disk(state).await,
         audit,
+        descriptors: descriptors().await,
+        clock: clock(state.store.clock_set()),
         service: Check::new(!draining, if draining { "is stopping" } else { "accepts work" }),
     }
+}
+
+/// What of the service's own needs a descriptor now and then: a decoder, a connection to the database, a file.
+const LEAST_DESCRIPTORS: u64 = 16;
+
+async fn descriptors() -> Check {
+    match tokio::task::spawn_blocking(telemetry::process::descriptors).await {
+        Ok(Some((open, most))) => Check::new(open + LEAST_DESCRIPTORS <= most, format!("{open} of {most} file descriptors are open")),
+        _ => Check::new(false, "no file descriptor is left"),
+    }
+}
+
+/// A clock that was set hinders nothing, but who looks for what is odd since then is told.
+fn clock(set: Option<ClockSet>) -> Check {
+    let Some(ClockSet { by_s, ago, held }) = set else { return Check::new(true, "runs as time does") };
+    let direction = if by_s > 0 { "forward" } else { "back" };
+    let held = match held.as_secs().div_ceil(60) {
+        0 => String::new(),
+        minutes => format!("; nothing is deleted for its age for {minutes} min"),
+    };
+    Check::new(true, format!("was set {} s {direction} {} min ago{held}", by_s.abs(), ago.as_secs() / 60))
 }
 
 /// Room on the disk of the data directory.
@@ -165,12 +208,16 @@ async fn disk(state: &AppState) -> Check {
     responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")),
 )]
 pub(super) async fn metrics(State(state): State<AppState>) -> impl IntoResponse {
-    look(&state).await;
-    if let Err(error) = state.store.publish_counts().await {
-        tracing::warn!(%error, "the queue's numbers are those of the last look");
-    }
-    if let Err(error) = state.store.publish_waiting().await {
-        tracing::warn!(%error, "the numbers of what waits for its rest are those of the last look");
+    let (probe, _) = look(&state).await;
+    if probe == Probe::Silent {
+        tracing::warn!("the numbers of the queue, and of what waits for its rest, are those of the last look");
+    } else {
+        if let Err(error) = state.store.publish_counts().await {
+            tracing::warn!(%error, "the queue's numbers are those of the last look");
+        }
+        if let Err(error) = state.store.publish_waiting().await {
+            tracing::warn!(%error, "the numbers of what waits for its rest are those of the last look");
+        }
     }
     state.metrics.run_upkeep();
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], state.metrics.render() + &telemetry::process::text())

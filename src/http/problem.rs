@@ -183,6 +183,9 @@ impl IntoResponse for Problem {
     }
 }
 
+/// Seconds after which it is worth to ask again for what fails for the moment.
+const SOON_S: u64 = 5;
+
 impl From<IntakeError> for Problem {
     fn from(error: IntakeError) -> Self {
         let status = match error.nature() {
@@ -192,7 +195,8 @@ impl From<IntakeError> for Problem {
             Nature::Refused => StatusCode::UNPROCESSABLE_ENTITY,
             Nature::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
         };
-        Self::new(status, error.code(), sentence(&error.to_string()))
+        let retry_after_s = (error.nature() == Nature::Unavailable).then_some(SOON_S);
+        Self { retry_after_s, ..Self::new(status, error.code(), sentence(&error.to_string())) }
     }
 }
 
@@ -255,11 +259,11 @@ impl From<StoreError> for Problem {
         tracing::error!(%error, "the store failed");
         match error {
             StoreError::Database(_) | StoreError::Interrupted => Self {
-                retry_after_s: Some(5),
+                retry_after_s: Some(SOON_S),
                 ..Self::new(
                     StatusCode::SERVICE_UNAVAILABLE,
                     "store_unavailable",
-                    "The database does not answer. Send the request again in 5 s.",
+                    format!("The database does not answer, or takes nothing that is written. Send the request again in {SOON_S} s."),
                 )
             },
             StoreError::DirectoryInUse { .. }

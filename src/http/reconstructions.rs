@@ -123,7 +123,7 @@ pub(super) struct JsonGrid {
         (status = 415, description = "A format or encoding that is not read here", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Understood and refused: not a reconstructed nuclear medicine study, parameters unknown or out of range, \
                                       idempotency key used for another request", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The queue is full or the service is stopping; `Retry-After` says when to try again", body = Problem,
+        (status = 503, description = "The queue is full (`queue_full`), no room for bodies is left (`uploads_full`), the database is away or full (`store_unavailable`), compressed images cannot be decoded now (`decoder_unavailable`), or the service is stopping (`draining`); `Retry-After` says when to try again", body = Problem,
          content_type = "application/problem+json", headers(("Retry-After" = u64, description = "Seconds"))),
     ),
 )]

@@ -1,6 +1,13 @@
 //! The running service: store, workers and listener, started together and stopped in order.
 
-use super::{AppState, admission, archived, client::Proxies, connections::Connections, listener, router, uploads::Uploads, views};
+use super::{
+    AppState, admission, archived,
+    client::Proxies,
+    connections::{self, Connections},
+    listener, router,
+    uploads::Uploads,
+    views,
+};
 use crate::{
     access::{Audit, AuditError, KeyringError},
     assembly,
@@ -12,6 +19,7 @@ use crate::{
     config::{self, ConfigError, ServeSettings},
     dimse, intake,
     jobs::{self, Backend, Store, StoreError, StoreSettings, Threads, WorkerSettings, Workers},
+    telemetry,
     tls::{Acceptor, Purpose, TlsError},
 };
 use std::{io, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Arc, time::Duration};
@@ -309,6 +317,23 @@ impl Encryption {
     }
 }
 
+/// File descriptors for what is neither a connection of a client nor counted by a setting: files, sockets that listen, callbacks, associations.
+const OTHER_DESCRIPTORS: u64 = 64;
+/// Of a decoder of compressed images: its pipes, and the process.
+const DECODER_DESCRIPTORS: u64 = 4;
+
+/// HTTP connections at once: as the settings say, as far as the system gives file descriptors.
+fn most_connections(settings: &ServeSettings) -> usize {
+    let wanted = settings.transport.max_connections as usize;
+    let Some((_, descriptors)) = telemetry::process::descriptors() else { return wanted };
+    let decoders = u64::from(settings.transport.max_uploads) * DECODER_DESCRIPTORS;
+    let most = connections::within(wanted, descriptors, OTHER_DESCRIPTORS + decoders + u64::from(settings.database_connections));
+    if most < wanted {
+        tracing::warn!(most, descriptors, "fewer connections than --max-connections, as the system gives no more file descriptors");
+    }
+    most
+}
+
 /// How a service with these settings accepts HTTP connections.
 fn listener_settings(settings: &ServeSettings, tls: Option<Arc<Acceptor>>) -> listener::Settings {
     let transport = &settings.transport;
@@ -316,7 +341,7 @@ fn listener_settings(settings: &ServeSettings, tls: Option<Arc<Acceptor>>) -> li
         header_time: listener::HEADER_TIME,
         tls,
         proxies: Proxies::new(&transport.trusted_proxy, transport.trusted_proxy_header),
-        connections: Connections::new(transport.max_connections as usize, transport.max_connections_per_client as usize),
+        connections: Connections::new(most_connections(settings), transport.max_connections_per_client as usize),
     }
 }
 

@@ -219,7 +219,7 @@ impl Database {
     /// Begins a transaction that may write.
     pub(super) async fn begin(&self) -> Result<Transaction, StoreError> {
         Ok(match self {
-            Self::Sqlite(embedded) => Transaction::Sqlite(embedded.writer.begin_with("BEGIN IMMEDIATE").await?),
+            Self::Sqlite(embedded) => Transaction::Sqlite(begin_writing(&embedded.writer).await?),
             Self::Postgres(pool) => Transaction::Postgres(pool.begin().await?),
         })
     }
@@ -420,6 +420,21 @@ async fn connect_writer(options: &SqliteConnectOptions) -> Result<Pool<Sqlite>, 
     }
 }
 
+/// Begins a transaction on the connection that writes.
+///
+/// SQLite ends one by itself that meets the end of the disk or an error of it (<https://www.sqlite.org/lang_transaction.html>, 3.2); `sqlx`
+/// 0.9 then fails to, and takes the connection to be within it for ever. Such a connection is replaced.
+async fn begin_writing(writer: &Pool<Sqlite>) -> Result<sqlx::Transaction<'static, Sqlite>, sqlx::Error> {
+    match writer.begin_with("BEGIN IMMEDIATE").await {
+        Err(sqlx::Error::InvalidSavePointStatement | sqlx::Error::BeginFailed) => {
+            tracing::warn!("the connection to the database is in no state to write, and is replaced");
+            writer.acquire().await?.close().await?;
+            writer.begin_with("BEGIN IMMEDIATE").await
+        }
+        begun => begun,
+    }
+}
+
 /// Whether the error says that someone else has the database.
 fn is_locked(error: &sqlx::Error) -> bool {
     // SQLITE_BUSY and SQLITE_LOCKED with their extended codes (https://www.sqlite.org/rescode.html): the primary code is the low byte.
@@ -435,6 +450,33 @@ fn version(text: &str) -> Option<[u32; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn a_transaction_that_found_no_room_hinders_none_after_it() {
+        let directory = std::env::temp_dir().join(format!("ventricle-full-{}", uuid::Uuid::now_v7()));
+        let database = Database::sqlite(&directory, Duration::ZERO).await.unwrap();
+        let write = async |database: &Database| {
+            let mut transaction = database.begin().await?;
+            transaction.execute("CREATE TABLE IF NOT EXISTS notes (text TEXT)", vec![]).await?;
+            transaction.execute("INSERT INTO notes VALUES ($1)", vec!["x".repeat(1 << 20).into()]).await?;
+            transaction.commit().await
+        };
+        // SQLite says of the file what it says of the disk: full.
+        database.fetch("PRAGMA max_page_count = 16", vec![]).await.unwrap();
+        let full = write(&database).await.unwrap_err();
+        assert!(full.is_passing() && full.to_string().contains("full"), "{full}");
+        let Database::Sqlite(embedded) = &database else { unreachable!() };
+        let mut connection = embedded.writer.acquire().await.unwrap();
+        sqlx::query("PRAGMA max_page_count = 1000000").execute(&mut *connection).await.unwrap();
+        drop(connection);
+        for _ in 0..3 {
+            write(&database).await.unwrap();
+        }
+        let rows = database.fetch("SELECT COUNT(*) FROM notes", vec![]).await.unwrap();
+        assert_eq!(rows[0].get::<i64>(0).unwrap(), 3);
+        database.close().await;
+        std::fs::remove_dir_all(&directory).unwrap();
+    }
 
     #[test]
     fn versions_are_compared_by_number() {

@@ -124,12 +124,12 @@ impl StoreError {
     }
 }
 
-/// PostgreSQL: connection, a transaction that this node paused in for too long, rollback, resources, object state, operator intervention
-/// (Appendix A of its manual; always five characters).
-/// SQLite: busy, locked, disk error, disk full (<https://www.sqlite.org/rescode.html>; a number whose low byte is the primary code).
+/// PostgreSQL: connection, a database that was made read-only, a transaction that this node paused in for too long, rollback, resources,
+/// object state, operator intervention, errors of the system (Appendix A of its manual; always five characters).
+/// SQLite: busy, locked, read-only, disk error, disk full, no file descriptor to open it with (<https://www.sqlite.org/rescode.html>; a number whose low byte is the primary code).
 fn is_passing_code(code: &str) -> bool {
     if code.len() == 5 {
-        return ["08", "25P03", "40", "53", "55", "57"].iter().any(|class| code.starts_with(class));
+        return ["08", "25006", "25P03", "40", "53", "55", "57", "58"].iter().any(|class| code.starts_with(class));
     }
-    code.parse::<u32>().is_ok_and(|code| matches!(code & 0xff, 5 | 6 | 10 | 13))
+    code.parse::<u32>().is_ok_and(|code| matches!(code & 0xff, 5 | 6 | 8 | 10 | 13 | 14))
 }

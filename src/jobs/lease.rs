@@ -202,6 +202,19 @@ impl Store {
         self.take_back("lease_until < {now}", vec![], 0, self.inner.settings.retry_pause).await
     }
 
+    /// Takes back the jobs whose lease was over at this time of the database's clock, in ms since 1970, but for those that workers of this
+    /// process hold: they are there, and renew it as soon as they can.
+    pub(super) async fn reap_lost(&self, now_ms: i64) -> Result<Vec<Reaped>, StoreError> {
+        let mut values = values![now_ms];
+        values.extend(self.running().keys().map(|id| id.to_string().into()));
+        let held: Vec<String> = (3..values.len() + 2).map(|number| format!("${number}")).collect();
+        let filter = match held[..] {
+            [] => "lease_until < $2".to_owned(),
+            _ => format!("lease_until < $2 AND id NOT IN ({})", held.join(", ")),
+        };
+        self.take_back(&filter, values, 0, self.inner.settings.retry_pause).await
+    }
+
     /// Takes back all running jobs: no worker can hold any.
     pub(super) async fn reap_all(&self) -> Result<Vec<Reaped>, StoreError> {
         self.take_back("TRUE", vec![], 0, self.inner.settings.retry_pause).await

@@ -15,6 +15,7 @@
 //! | `queue.rs` | limits, reservations and the measured rate |
 //! | `worker.rs`, `compute.rs`, `threads.rs`, `reaper.rs` | who works, on which threads and how many, and who takes back what lost workers held |
 //! | [`priority`] | how threads that compute stand back behind those that answer |
+//! | `clock.rs` | what is done when the database's clock is set |
 //! | `ending.rs`, `expiry.rs` | what follows when a job ends; what is deleted when its time is over |
 //! | `deliveries.rs` | who claims and settles what is to be told of a job's end |
 //! | `backoff.rs` | pauses between attempts at what failed for the moment |
@@ -26,6 +27,7 @@
 //! | `feed.rs` | what everyone is told who listens to all jobs |
 
 mod backoff;
+mod clock;
 mod compute;
 mod database;
 mod deliveries;
@@ -53,6 +55,7 @@ mod watch;
 pub mod work;
 mod worker;
 
+pub use clock::ClockSet;
 pub use deliveries::{Delivery, DeliveryClaim, DeliveryKind, Settled};
 pub use error::{QueueFull, StoreError, SubmitError};
 pub use feed::News;

@@ -9,7 +9,7 @@ use tokio::{sync::Mutex, time::Instant};
 const BELIEVED: Duration = Duration::from_secs(5);
 /// How long it is believed that it cannot.
 const DOUBTED: Duration = Duration::from_secs(1);
-/// How long the commit may take, so that who asks with the usual patience of 3 s is answered.
+/// How long an answer, and the commit, may take, so that who asks with the usual patience of 3 s is answered.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// What the database does.
@@ -30,9 +30,17 @@ pub(super) struct LastProbe(Mutex<Option<(Instant, bool)>>);
 impl Store {
     /// Whether the database answers now, and could be written in the last seconds.
     pub async fn probe(&self) -> Probe {
-        if let Err(error) = self.ping().await {
-            tracing::warn!(%error, "the store does not answer");
-            return Probe::Silent;
+        match tokio::time::timeout(PATIENCE, self.ping()).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => {
+                tracing::warn!(%error, "the store does not answer");
+                return Probe::Silent;
+            }
+            // Whoever wants something of it waits for longer, as it may just be starting again.
+            Err(_) => {
+                tracing::warn!(seconds = PATIENCE.as_secs(), "the store does not answer within so long");
+                return Probe::Silent;
+            }
         }
         // Whoever asks meanwhile waits for the same answer.
         let mut last = self.inner.last_probe.0.lock().await;

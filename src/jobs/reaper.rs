@@ -36,7 +36,12 @@ pub(super) async fn run(store: Store) {
 }
 
 async fn reap(store: &Store) {
-    match store.reap().await {
+    let reaped = match store.look_at_clock().await {
+        Ok(Some(now_ms)) => store.reap_lost(now_ms).await,
+        Ok(None) => return,
+        Err(error) => Err(error),
+    };
+    match reaped {
         Ok(reaped) => {
             for job in reaped {
                 tracing::warn!(job_id = %job.id, state = job.state.name(), "the worker of a job was lost");

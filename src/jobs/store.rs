@@ -2,6 +2,7 @@
 //! `lease.rs`.
 
 use super::{
+    clock::Clock,
     database::{Database, Row, Transaction, values},
     error::{QueueFull, StoreError},
     feed::News,
@@ -69,6 +70,8 @@ pub(super) struct Inner {
     /// Who hears what other nodes tell.
     listener: OnceLock<AbortHandle>,
     pub(super) last_probe: LastProbe,
+    pub(super) clock: Clock,
+    counting: tokio::sync::Mutex<()>,
 }
 
 impl Drop for Inner {
@@ -106,6 +109,8 @@ impl Store {
             running: Mutex::default(),
             listener: OnceLock::new(),
             last_probe: LastProbe::default(),
+            clock: Clock::default(),
+            counting: tokio::sync::Mutex::default(),
         };
         let store = Self { inner: Arc::new(inner) };
         if !store.inner.database.is_shared() {
@@ -302,6 +307,8 @@ impl Store {
 
     /// Tells the metrics what the rows say and, where other processes change them too, the queue: what waits and how fast it moves.
     pub async fn publish_counts(&self) -> Result<(), StoreError> {
+        // One after the other: what was counted before must not be told after.
+        let _alone = self.inner.counting.lock().await;
         let counts = self.counts().await?;
         if self.inner.database.is_shared() {
             self.inner.queue.counted(Load { jobs: counts.queued, bytes: counts.queued_bytes });

@@ -19,18 +19,22 @@ pub struct Reading {
     pub value: f64,
 }
 
+/// File descriptors that are open, and how many may be; nothing where that cannot be told, be it for want of one to look with.
+pub fn descriptors() -> Option<(u64, u64)> {
+    let open = open_files()? as u64;
+    Some((open, most_files(&fs::read_to_string("/proc/self/limits").ok()?).map_or(u64::MAX, |most| most as u64)))
+}
+
 /// What can be read now; nothing where the system has no `/proc`.
 pub fn readings() -> Vec<Reading> {
     let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
     let (status, stat, limits, system) =
         (read("/proc/self/status"), read("/proc/self/stat"), read("/proc/self/limits"), read("/proc/stat"));
-    // One of them is this look itself.
-    let open = fs::read_dir("/proc/self/fd").ok().map(|entries| entries.count().saturating_sub(1) as f64);
     [
         ("process_cpu_seconds_total", "counter", processor_s(&stat)),
         ("process_resident_memory_bytes", "gauge", field(&status, "VmRSS:").map(|kib| kib * 1024.0)),
         ("process_threads", "gauge", field(&status, "Threads:")),
-        ("process_open_fds", "gauge", open),
+        ("process_open_fds", "gauge", open_files().map(|open| open as f64)),
         ("process_max_fds", "gauge", most_files(&limits)),
         ("process_start_time_seconds", "gauge", start_s(&stat, &system)),
     ]
@@ -46,6 +50,11 @@ pub fn text() -> String {
         let _ = write!(text, "# TYPE {name} {kind}\n{name} {value}\n\n");
         text
     })
+}
+
+/// One that is seen is this look itself.
+fn open_files() -> Option<usize> {
+    fs::read_dir("/proc/self/fd").ok().map(|entries| entries.count().saturating_sub(1))
 }
 
 /// The number after a name at the beginning of a line.

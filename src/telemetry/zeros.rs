@@ -13,6 +13,9 @@ pub(super) fn begin() {
         metrics::counter!("ventricle_jobs_failed_total", "code" => code).increment(0);
     }
     metrics::counter!("ventricle_http_problems_total", "code" => "internal_error").increment(0);
+    for direction in ["forward", "back"] {
+        metrics::counter!("ventricle_clock_set_total", "direction" => direction).increment(0);
+    }
     for operation in ["claim", "heartbeat", "submit", "finish", "read"] {
         metrics::counter!("ventricle_store_failures_total", "operation" => operation).increment(0);
     }

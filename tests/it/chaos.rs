@@ -1,8 +1,13 @@
 //! Whatever is done to the service, what was accepted is finished, with its result, once in effect: `make chaos`. The tests of CI do
 //! the same with fewer jobs (`CHAOS_JOBS`, `CHAOS_KILLS`).
 
+mod database;
+mod descriptors;
+mod faults;
+mod full_disk;
 mod poison;
 mod postgres;
+mod set_clock;
 mod sqlite;
 
 use crate::served::Served;

@@ -33,10 +33,24 @@ impl Cluster {
         Some(Self { directory, url: String::from_utf8(output.stdout).unwrap().trim().to_owned() })
     }
 
+    fn act(&self, action: &str) {
+        let status = Self::script().arg(action).arg(&self.directory).status().unwrap();
+        assert!(status.success(), "{action}: {status}");
+    }
+
     /// Ends every process of the server at once and starts it again.
     pub(crate) fn crash(&self) {
-        let status = Self::script().arg("crash").arg(&self.directory).status().unwrap();
-        assert!(status.success(), "{status}");
+        self.act("crash");
+    }
+
+    /// Stops the server for the time being.
+    pub(crate) fn halt(&self) {
+        self.act("halt");
+    }
+
+    /// Starts it again where it was.
+    pub(crate) fn resume(&self) {
+        self.act("resume");
     }
 
     /// Runs a program that comes with the server on these bytes; returns what it printed.

@@ -2,11 +2,19 @@
 
 use serde_json::Value;
 use std::{
+    ffi::OsString,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     time::{Duration, Instant},
 };
+
+/// The program that is tested: the one that was built with the tests, or the one that `TEST_PROGRAM` names: `make chaos` and `make soak` run the
+/// release, which the tests need not be built like.
+#[expect(clippy::disallowed_methods, reason = "which program is tested is a matter of the run")]
+pub(crate) fn program() -> OsString {
+    std::env::var_os("TEST_PROGRAM").unwrap_or_else(|| env!("CARGO_BIN_EXE_ventricle").into())
+}
 
 /// A running `ventricle serve` on a free loopback port; killed when dropped.
 pub(crate) struct Served {
@@ -55,14 +63,14 @@ impl Served {
 
     /// The same at an address.
     pub(crate) fn start_at(data: &Path, listen: &str, flags: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ventricle"));
+        let mut command = Command::new(program());
         command.args(["serve", "--listen", listen, "--log", "warn", "--data-dir"]).arg(data);
         Self::start_by(command, flags)
     }
 
     /// The same with all that it logs, as JSON, in a file.
     pub(crate) fn start_logging(data: &Path, log: &Path, flags: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ventricle"));
+        let mut command = Command::new(program());
         command.args(["serve", "--listen", "127.0.0.1:0", "--log", "warn,ventricle=trace", "--log-format", "json", "--data-dir"]).arg(data);
         command.stderr(std::fs::File::create(log).unwrap());
         Self::start_by(command, flags)

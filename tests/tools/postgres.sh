@@ -5,6 +5,8 @@
 #   postgres.sh start DIRECTORY     makes it (the directory must not be there), starts it, prints its URL
 #   postgres.sh durable DIRECTORY   the same, with every commit synchronised to disk
 #   postgres.sh crash DIRECTORY     ends it as a crash would and starts it again on the same port
+#   postgres.sh halt DIRECTORY      stops it for the time being
+#   postgres.sh resume DIRECTORY    starts it again on the same port
 #   postgres.sh stop DIRECTORY      stops and deletes it
 #   postgres.sh run DIRECTORY PROGRAM [ARGUMENT]...
 #                                   runs a program of the same installation, as pg_dump
@@ -15,8 +17,8 @@
 set -euo pipefail
 
 action=${1:-} directory=${2:-}
-if [[ -z $directory ]] || [[ ! $action =~ ^(start|durable|crash|stop|run)$ ]]; then
-  sed -n '2,10s/^# \{0,1\}//p' "$0" >&2
+if [[ -z $directory ]] || [[ ! $action =~ ^(start|durable|crash|halt|resume|stop|run)$ ]]; then
+  sed -n '2,12s/^# \{0,1\}//p' "$0" >&2
   exit 2
 fi
 
@@ -63,6 +65,13 @@ case $action in
   crash)
     # Options given at the start are kept by `restart`.
     unprivileged "$bin/pg_ctl" restart --silent --wait --mode immediate --pgdata "$directory/data" --log "$directory/log" >/dev/null
+    ;;
+  halt)
+    unprivileged "$bin/pg_ctl" stop --silent --wait --mode fast --pgdata "$directory/data" >/dev/null
+    ;;
+  resume)
+    # `start` would not know the options.
+    unprivileged "$bin/pg_ctl" restart --silent --wait --pgdata "$directory/data" --log "$directory/log" >/dev/null 2>&1
     ;;
   run)
     "$bin/${3:?which program?}" "${@:4}"

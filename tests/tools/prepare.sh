@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Installs the programs of others that the tests check Ventricle with: dciodvfy (dicom3tools), dcmtk (also storescu, storescp) and gdcmconv
-# (libgdcm-tools) for DICOM, Orthanc with its DICOMweb and Python plugins for an archive, strace for what is written to disk, Chromium for the pages and
-# what the report prints to, Node with the validators for glTF, FHIR and JSON Schema and a DICOMweb client, Python with highdicom for structured reports and another
-# such client, PostgreSQL for what is stored there, valgrind for counts of instructions.
+# (libgdcm-tools) for DICOM, Orthanc with its DICOMweb and Python plugins for an archive, strace for what is written to disk, libfaketime for
+# clocks that are set, Chromium for the pages and what the report prints to, Node with the validators for glTF, FHIR and JSON Schema and a
+# DICOMweb client, Python with highdicom for structured reports and another such client, PostgreSQL for what is stored there, valgrind for counts
+# of instructions.
 # What cannot be installed is said; its tests then skip, or fail when CI is set.
 set -euo pipefail
 cd "$(dirname "$0")"
@@ -23,6 +24,7 @@ command -v gdcmconv >/dev/null || missing+=(libgdcm-tools)
 command -v curl >/dev/null || missing+=(curl)
 command -v strace >/dev/null || missing+=(strace)
 command -v valgrind >/dev/null || missing+=(valgrind)
+compgen -G '/usr/lib/*/faketime/libfaketimeMT.so.1' >/dev/null || missing+=(libfaketime)
 command -v chromium >/dev/null || missing+=(chromium)
 command -v node >/dev/null || missing+=(nodejs)
 command -v npm >/dev/null || missing+=(npm)

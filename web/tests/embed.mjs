@@ -52,6 +52,25 @@ try {
     await page.waitForFunction((count) => new Set(globalThis.gates.map((change) => change.gate)).size >= count, 4);
     assert.deepEqual(complaints, []);
 
+    // Headers, set before the script is there and after, go with both requests.
+    const sent = [];
+    page.on("request", (request) => request.method() === "GET" && request.url().includes("/v1/reconstructions/") && sent.push(request.headers().authorization));
+    await viewer.evaluate((element) => (element.headers = { Authorization: "Bearer later" }));
+    await viewer.getByText(`EF ${report.function.ef_percent.toFixed(0)} %`).waitFor();
+    assert.deepEqual(sent.splice(0), ["Bearer later", "Bearer later"]);
+    await page.addInitScript(() => {
+      new MutationObserver((_, observer) => {
+        const element = document.querySelector("ventricle-viewer");
+        if (element === null) return;
+        element.headers = { Authorization: "Bearer early" };
+        observer.disconnect();
+      }).observe(document, { childList: true, subtree: true });
+    });
+    await page.goto(site);
+    await viewer.getByText(`EF ${report.function.ef_percent.toFixed(0)} %`).waitFor();
+    assert.deepEqual(sent.splice(0), ["Bearer early", "Bearer early"]);
+    assert.deepEqual(complaints, []);
+
     // The example page: a file goes in, the model comes out.
     await page.goto(`${site}/example?service=${encodeURIComponent(service)}`);
     await page.locator("#file").setInputFiles(study);

@@ -11,12 +11,14 @@ import { wordsFor } from "./words.ts";
  *
  * Attributes: `src`, `report` (optional: shows the volumes), `play` (beats from the start, but for people who want less motion), `gate`
  * (from 1; stops there), `colour` (`perfusion`, `end_diastolic_thickness`, `end_systolic_thickness`, `thickening`, `motion`, `phase`).
- * Events: `load`, `error`, and `gatechange` with `detail.gate` and `detail.gates`.
+ * Property: `headers`, what is sent with the requests for both (`{ Authorization: "Bearer …" }`). An attribute would stand in the page for
+ * everything that reads it. Events: `load`, `error`, and `gatechange` with `detail.gate` and `detail.gates`.
  */
 export class VentricleViewer extends HTMLElement {
   static readonly observedAttributes = ["src", "report", "play", "gate", "colour"];
 
   #shown: AbortController | null = null;
+  #headers: Readonly<Record<string, string>> = {};
   #now: { view: View; cycle: Cycle; model: Model; legend: HTMLElement } | null = null;
 
   constructor() {
@@ -24,7 +26,23 @@ export class VentricleViewer extends HTMLElement {
     this.attachShadow({ mode: "open" }).adoptedStyleSheets = [styleSheet()];
   }
 
+  /** Sent with the requests for `src` and `report`; another value fetches both again. */
+  get headers(): Readonly<Record<string, string>> {
+    return this.#headers;
+  }
+
+  set headers(headers: Readonly<Record<string, string>>) {
+    this.#headers = { ...headers };
+    if (this.isConnected) void this.#load();
+  }
+
   connectedCallback(): void {
+    // What a page set before this script was there lies on the element and hides the property.
+    const early = Object.getOwnPropertyDescriptor(this, "headers");
+    if (early !== undefined) {
+      Reflect.deleteProperty(this, "headers");
+      this.#headers = { ...(early.value as Readonly<Record<string, string>>) };
+    }
     void this.#load();
   }
 
@@ -56,7 +74,7 @@ export class VentricleViewer extends HTMLElement {
     const src = this.getAttribute("src");
     if (src === null) return;
     try {
-      const [model, report] = await Promise.all([fetched(src, shown.signal).then((answer) => answer.arrayBuffer()).then(readModel), this.#report(shown.signal)]);
+      const [model, report] = await Promise.all([this.#fetched(src, shown.signal).then((answer) => answer.arrayBuffer()).then(readModel), this.#report(shown.signal)]);
       const view = createView(canvas, model, shown.signal);
       const cycle = createCycle(model.timing, shown.signal);
       gate.max = String(cycle.gates);
@@ -86,7 +104,13 @@ export class VentricleViewer extends HTMLElement {
 
   async #report(signal: AbortSignal): Promise<Report | null> {
     const address = this.getAttribute("report");
-    return address === null ? null : ((await (await fetched(address, signal)).json()) as Report);
+    return address === null ? null : ((await (await this.#fetched(address, signal)).json()) as Report);
+  }
+
+  async #fetched(address: string, signal: AbortSignal): Promise<Response> {
+    const answer = await fetch(address, { signal, headers: this.#headers });
+    if (!answer.ok) throw new Error(`${address} was answered ${answer.status}`);
+    return answer;
   }
 
   /** Does what an attribute says now. */
@@ -106,12 +130,6 @@ export class VentricleViewer extends HTMLElement {
     const unit = variant.unit === "degrees" ? "°" : variant.unit;
     legend.replaceChildren(h("span", {}, String(variant.range[0])), scale, h("span", {}, `${variant.range[1]} ${unit}`));
   }
-}
-
-async function fetched(address: string, signal: AbortSignal): Promise<Response> {
-  const answer = await fetch(address, { signal });
-  if (!answer.ok) throw new Error(`${address} was answered ${answer.status}`);
-  return answer;
 }
 
 function keys(view: View): void {
