@@ -10,7 +10,7 @@ use ventricle::{
 };
 
 /// A small study that is done soon.
-fn small() -> Vec<u8> {
+pub(crate) fn small() -> Vec<u8> {
     let imaging = Imaging { gates: 2, grid: Grid { shape: [20, 32, 32], spacing_mm: [6.4; 3] }, ..Imaging::default() };
     let phantom = Phantom { imaging, ..Phantom::of(Shape::Ventricle(Ventricle::NORMAL)) };
     phantom::dicom::write(&phantom::simulate(&phantom).unwrap().study).unwrap()
@@ -136,7 +136,7 @@ fn a_job_is_seen_in_numbers_and_its_lines_name_it_and_its_request() {
 }
 
 /// A study of even counts, as JSON.
-fn phantom_of_noise() -> Value {
+pub(crate) fn phantom_of_noise() -> Value {
     use base64::{Engine as _, engine::general_purpose::STANDARD};
     let counts: Vec<u8> = (0..2 * 6 * 16 * 16_u32).flat_map(|voxel| ((voxel * 7919 % 13) as u16 + 50).to_le_bytes()).collect();
     serde_json::json!({
