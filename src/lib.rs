@@ -26,6 +26,7 @@
 //! | [`http`] | the service |
 //! | [`networks`], [`tls`] | ranges of addresses; certificates, and connections encrypted with them |
 //! | [`config`], [`telemetry`] | settings; logs and metrics |
+//! | [`traces`] | what requests and jobs took, step by step, told to a collector |
 
 pub mod access;
 pub mod accuracy;
@@ -53,4 +54,5 @@ pub mod study;
 pub mod subject;
 pub mod telemetry;
 pub mod tls;
+pub mod traces;
 pub mod volume;

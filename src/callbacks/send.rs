@@ -76,7 +76,7 @@ pub struct Sender {
 /// What is posted.
 pub(super) struct Message<'a> {
     pub(super) media_type: &'a str,
-    pub(super) headers: &'a [(&'static str, String)],
+    pub(super) headers: &'a [(&'a str, String)],
     pub(super) body: Vec<u8>,
     /// Most bytes of the answer's body that are wanted.
     pub(super) answer_bytes: usize,
@@ -161,6 +161,16 @@ impl Sender {
         };
         match fetching.await {
             Ok(Answer { status: 200, body, .. }) => Ok(body.into()),
+            Ok(Answer { status, .. }) => Err(format!("the answer is {status}")),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    /// Posts to where the operator said, or says why it was not taken, without the URL and the headers.
+    pub async fn deliver(&self, url: &str, media_type: &str, headers: &[(String, String)], body: Vec<u8>) -> Result<(), String> {
+        let headers: Vec<(&str, String)> = headers.iter().map(|(name, value)| (name.as_str(), value.clone())).collect();
+        match self.post(url, Message { media_type, headers: &headers, body, answer_bytes: 0 }).await {
+            Ok(Answer { status: 200..=299, .. }) => Ok(()),
             Ok(Answer { status, .. }) => Err(format!("the answer is {status}")),
             Err(error) => Err(error.to_string()),
         }

@@ -119,6 +119,11 @@ impl Target {
         let path = url[Position::BeforePath..Position::AfterQuery].to_owned();
         Ok(Self { secure, host, port, authority, path, named })
     }
+
+    /// Whether it is called with TLS.
+    pub fn secure(&self) -> bool {
+        self.secure
+    }
 }
 
 #[cfg(test)]

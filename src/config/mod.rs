@@ -1,9 +1,11 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
 mod access;
+mod traces;
 mod transport;
 
 pub use access::{AccessError, AccessSettings, default_keys_file};
+pub use traces::TraceSettings;
 pub use transport::{ProxyHeader, TransportError, TransportSettings};
 
 use crate::{access::is_owner, dimse::is_ae_title, jobs::ANONYMOUS};
@@ -191,6 +193,10 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_CORS_ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<String>,
 
+    /// Where traces go.
+    #[command(flatten)]
+    pub traces: TraceSettings,
+
     /// Form of the log on standard error.
     #[arg(long, env = "VENTRICLE_LOG_FORMAT", value_enum, default_value = "text")]
     pub log_format: LogFormat,
@@ -308,6 +314,12 @@ pub enum ConfigError {
     /// What cannot stand in a header.
     #[error("The value of --results-authorization is empty or has characters other than printable ASCII; give `Basic …` or `Bearer …`.")]
     NoHeaderValue,
+    /// What cannot stand in headers, or is not to.
+    #[error(
+        "The value of --otlp-headers is no list of headers as `Authorization=Bearer …,X-Team=7`: names of letters, digits and hyphens, other than \
+         those of the transport itself, values of printable ASCII."
+    )]
+    OtlpHeaders,
     /// A secret that could be guessed.
     #[error("The secret of callbacks has {length} characters; use at least {LEAST_SECRET} random ones, as `openssl rand -hex 32` prints.")]
     CallbackSecretTooShort {

@@ -1,7 +1,7 @@
 //! What happens to every request: an id, a line in the log, numbers, cautious headers, and a problem document for whatever went wrong.
 
-use super::problem::Problem;
-use crate::config::Cors;
+use super::{problem::Problem, traces};
+use crate::{config::Cors, traces::Traces};
 use axum::{
     body::{Body, HttpBody},
     extract::{MatchedPath, Request, State},
@@ -11,7 +11,7 @@ use axum::{
 };
 use std::{any::Any, sync::Arc, time::Instant};
 use tower_http::cors::{AllowOrigin, CorsLayer};
-use tracing::Instrument;
+use tracing::{Instrument, field};
 use uuid::Uuid;
 
 /// Header of the request's id, in and out.
@@ -58,8 +58,8 @@ pub(super) async fn limit_head(request: Request, next: Next) -> Response {
 #[derive(Debug, Clone)]
 pub(super) struct RequestId(pub(super) String);
 
-/// Gives the request an id (the client's own, if it sends a usable one), logs and counts it, and finishes the answer.
-pub(super) async fn observe(State(policies): State<Arc<Policies>>, mut request: Request, next: Next) -> Response {
+/// Gives the request an id (the client's own, if it sends a usable one), logs, traces and counts it, and finishes the answer.
+pub(super) async fn observe(State((policies, traces)): State<(Arc<Policies>, Traces)>, mut request: Request, next: Next) -> Response {
     let began = Instant::now();
     let _in_flight = InFlight::begin();
     let id = request_id(request.headers());
@@ -67,15 +67,17 @@ pub(super) async fn observe(State(policies): State<Arc<Policies>>, mut request: 
     let path = request.uri().path().to_owned();
     let matched = request.extensions().get::<MatchedPath>().map_or("unmatched", MatchedPath::as_str).to_owned();
     request.extensions_mut().insert(RequestId(id.clone()));
-    let span = tracing::info_span!("request", request_id = %id, %method, path = matched);
+    let traced = traces::span(&traces, &request);
+    let span = tracing::info_span!("request", request_id = %id, %method, path = matched, trace_id = traced.trace_id().map(field::display));
     async {
-        let response = next.run(request).await;
+        let response = traced.scope(next.run(request)).await;
         let mut response = finish(response, &method, path, &id);
         harden(response.headers_mut(), &matched, &policies);
         if let Ok(id) = HeaderValue::from_str(&id) {
             response.headers_mut().insert(REQUEST_ID, id);
         }
         record(&method, &matched, response.status().as_u16(), began);
+        traced.answered(response.status().as_u16());
         response
     }
     .instrument(span)
@@ -171,9 +173,14 @@ fn record(method: &Method, matched: &str, status: u16, began: Instant) {
     metrics::histogram!("ventricle_http_request_duration_seconds", &labels[..2]).record(seconds);
     let duration_ms = (seconds * 1e4).round() / 10.0;
     match matched {
-        "/healthz" | "/readyz" | "/metrics" if status < 500 => tracing::debug!(status, duration_ms, "answered"),
+        matched if is_look(matched) && status < 500 => tracing::debug!(status, duration_ms, "answered"),
         _ => tracing::info!(status, duration_ms, "answered"),
     }
+}
+
+/// Whether a route only looks whether the service is well: monitors ask so all the time.
+pub(super) fn is_look(matched: &str) -> bool {
+    matches!(matched, "/healthz" | "/readyz" | "/metrics")
 }
 
 /// A panic of a handler, as a problem that says nothing of the inside.

@@ -30,6 +30,7 @@ mod reconstructions;
 mod results;
 mod service;
 mod slices;
+mod traces;
 mod uploads;
 mod viewer;
 mod views;
@@ -50,6 +51,7 @@ use crate::{
     intake,
     jobs::Store,
     telemetry,
+    traces::Traces,
 };
 use axum::{Router, http::StatusCode, middleware};
 use metrics_exporter_prometheus::PrometheusHandle;
@@ -96,6 +98,7 @@ pub struct AppState {
     viewer: viewer::Files,
     access: Arc<Access>,
     audit: Option<Audit>,
+    traces: Traces,
     draining: CancellationToken,
     metrics: PrometheusHandle,
     openapi: Arc<str>,
@@ -136,6 +139,7 @@ impl AppState {
             viewer: viewer::embedded(),
             access: Arc::new(Access::open()),
             audit: None,
+            traces: Traces::default(),
             draining: CancellationToken::new(),
             metrics: telemetry::metrics(),
             openapi: openapi_json().into(),
@@ -226,6 +230,12 @@ impl AppState {
     #[must_use]
     pub fn with_audit(self, audit: Audit) -> Self {
         Self { audit: Some(audit), ..self }
+    }
+
+    /// Telling what requests took.
+    #[must_use]
+    pub fn with_traces(self, traces: Traces) -> Self {
+        Self { traces, ..self }
     }
 
     /// With another viewer than the one built in: its files by name. With none, the root says that there is no viewer.
@@ -332,7 +342,7 @@ pub fn router(state: AppState) -> Router {
         .layer(middleware::from_fn_with_state(state.clone(), access::guard))
         .layer(CatchPanicLayer::custom(layers::panicked))
         .layer(middleware::from_fn(layers::limit_head))
-        .layer(middleware::from_fn_with_state(policies, layers::observe));
+        .layer(middleware::from_fn_with_state((policies, state.traces.clone()), layers::observe));
     let router = match layers::cors(&state.cors) {
         Some(cors) => router.layer(cors),
         None => router,

@@ -4,7 +4,7 @@ use super::{
     AppState, admission, archived,
     client::Proxies,
     connections::{self, Connections},
-    listener, router,
+    listener, router, traces,
     uploads::Uploads,
     views,
 };
@@ -21,6 +21,7 @@ use crate::{
     jobs::{self, Backend, Store, StoreError, StoreSettings, Threads, WorkerSettings, Workers},
     telemetry,
     tls::{Acceptor, Purpose, TlsError},
+    traces::Traces,
 };
 use std::{io, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Arc, time::Duration};
 use tokio::{
@@ -35,6 +36,9 @@ const LAST_ANSWERS: Duration = Duration::from_secs(5);
 
 /// Time that callbacks under way get once no worker runs any more; then another node, or the next start, sends them.
 const LAST_CALLBACKS: Duration = Duration::from_secs(3);
+
+/// Time that the last traces get; what is not taken then is dropped.
+const LAST_TRACES: Duration = Duration::from_secs(3);
 
 /// Why the service did not start or ended.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +67,9 @@ pub enum ServeError {
     /// Results may not be sent where `--results-to` says.
     #[error("The address of --results-to {0}")]
     ResultsTo(#[from] DestinationError),
+    /// Traces may not be sent where `--otlp-endpoint` says.
+    #[error("The URL of --otlp-endpoint {0}")]
+    OtlpEndpoint(TargetError),
     /// Certificate and key of HTTP, or of DICOM associations, cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -95,6 +102,7 @@ pub struct Running {
     dimse: Option<dimse::Listener>,
     _assembly: assembly::Watch,
     store: Store,
+    traces: Traces,
     drain_time: Duration,
 }
 
@@ -152,7 +160,8 @@ impl Running {
             Ok(ended) => ended.map_err(io::Error::other)?,
             Err(_) => abort.abort(),
         }
-        self.store.close().await;
+        // Nothing ends a span any more but what was cut off just now.
+        tokio::join!(self.store.close(), self.traces.stop(LAST_TRACES));
         Ok(())
     }
 }
@@ -173,8 +182,9 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let access = admission::access(settings)?;
     let audit = settings.access.audit_log.as_deref().map(Audit::open).transpose()?;
     let store = Store::open(store_settings(settings)).await?;
-    let workers = Arc::new(jobs::start_workers(store.clone(), workers)?);
-    let mut state = state(settings, &store, &workers).with_access(access);
+    let traces = traces::start(settings)?;
+    let workers = Arc::new(jobs::start_workers(store.clone(), WorkerSettings { traces: traces.clone(), ..workers })?);
+    let mut state = state(settings, &store, &workers).with_access(access).with_traces(traces.clone());
     if let Some(audit) = &audit {
         state = state.with_audit(audit.clone());
     }
@@ -205,6 +215,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
         _admission: admission,
         audit,
         store,
+        traces,
         drain_time: settings.drain_time(),
     })
 }

@@ -20,6 +20,7 @@
 //! | `deliveries.rs` | who claims and settles what is to be told of a job's end |
 //! | `backoff.rs` | pauses between attempts at what failed for the moment |
 //! | `progress.rs` | how a running reconstruction is watched and stopped |
+//! | `traced.rs` | what traces are told of an attempt |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
 //! | `database.rs`, `schema.rs` | one SQL text on two engines |
@@ -51,6 +52,7 @@ mod settings;
 pub mod store;
 mod submit;
 mod threads;
+mod traced;
 mod watch;
 pub mod work;
 mod worker;
@@ -65,8 +67,8 @@ pub use lease::{Claim, Finish, Heartbeat, Outcome, Reaped};
 pub use probe::Probe;
 pub use progress::{Progress, Snapshot};
 pub use queue::Reservation;
-pub use settings::{Backend, StoreSettings};
+pub use settings::{Backend, StoreSettings, WorkerSettings};
 pub use store::Store;
 pub use threads::Threads;
 pub use work::{Output, Work, WorkError};
-pub use worker::{Drained, WorkerSettings, Workers, start_workers};
+pub use worker::{Drained, Workers, start_workers};

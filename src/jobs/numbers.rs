@@ -3,7 +3,7 @@
 use super::{
     error::{StoreError, SubmitError},
     job::State,
-    progress::Progress,
+    progress::{Progress, RESULTS},
 };
 use crate::pipeline::parameters::Preset;
 use serde::Deserialize;
@@ -83,7 +83,7 @@ pub(super) fn took(state: State, parameters: &str, duration_s: f64) {
 }
 
 /// The preset in the stored parameters of a job.
-fn preset(parameters: &str) -> &'static str {
+pub(super) fn preset(parameters: &str) -> &'static str {
     #[derive(Deserialize)]
     struct Chosen {
         preset: Preset,
@@ -95,7 +95,7 @@ fn preset(parameters: &str) -> &'static str {
 pub(super) fn stages_took(progress: &Progress, preset: Preset, results_s: f64) {
     let stages = progress.stages_ms();
     let stages = stages.iter().map(|(stage, ms)| (stage.clone(), ms / 1e3));
-    for (stage, seconds) in stages.chain([("results".to_owned(), results_s)]) {
+    for (stage, seconds) in stages.chain([(RESULTS.to_owned(), results_s)]) {
         metrics::histogram!("ventricle_job_stage_duration_seconds", "stage" => stage, "preset" => preset.name()).record(seconds);
     }
 }

@@ -9,8 +9,11 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     thread::{self, ThreadId},
-    time::Instant,
+    time::{Duration, Instant, SystemTime},
 };
+
+/// Name of what follows on the last stage.
+pub(super) const RESULTS: &str = "results";
 
 /// What a running job has done so far.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -23,10 +26,27 @@ pub struct Snapshot {
     pub gates_done: u64,
 }
 
+/// When a stage ran. What follows on the last stage, results being made, counts as one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageTime {
+    /// Its name in JSON, metrics and traces.
+    pub name: &'static str,
+    /// When it first began, for whichever gate.
+    pub began: SystemTime,
+    /// When it last ended.
+    pub ended: SystemTime,
+    /// How often it ran: for the study, or for gates and surfaces.
+    pub runs: u64,
+    /// The time of all these runs, of which several may have been at once.
+    pub busy: Duration,
+}
+
 /// Progress, timing and cancellation of one attempt at a job.
 #[derive(Debug)]
 pub struct Progress {
     began: Instant,
+    /// The same moment by the calendar.
+    began_at: SystemTime,
     cancelled: AtomicBool,
     state: Mutex<Timeline>,
 }
@@ -39,13 +59,38 @@ struct Timeline {
     /// By thread too, since both surfaces of a gate are in the same stage at once; a list, since a thread that waits for one surface may
     /// begin the other's.
     under_way: HashMap<(Stage, Option<usize>, ThreadId), Vec<Instant>>,
-    stages_ms: BTreeMap<Stage, f64>,
+    stages: BTreeMap<Stage, Ran>,
+    results: Option<Ran>,
+}
+
+/// What is known of the runs of a stage that are over.
+#[derive(Debug, Clone, Copy)]
+struct Ran {
+    began: Instant,
+    ended: Instant,
+    runs: u64,
+    busy: Duration,
+}
+
+impl Ran {
+    fn once(began: Instant, ended: Instant) -> Self {
+        Self { began, ended, runs: 1, busy: ended.duration_since(began) }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            began: self.began.min(other.began),
+            ended: self.ended.max(other.ended),
+            runs: self.runs + other.runs,
+            busy: self.busy + other.busy,
+        }
+    }
 }
 
 impl Progress {
     /// Begins now.
     pub fn begin_now() -> Self {
-        Self { began: Instant::now(), cancelled: AtomicBool::new(false), state: Mutex::default() }
+        Self { began: Instant::now(), began_at: SystemTime::now(), cancelled: AtomicBool::new(false), state: Mutex::default() }
     }
 
     fn state(&self) -> MutexGuard<'_, Timeline> {
@@ -75,7 +120,23 @@ impl Progress {
     /// Time spent in each finished stage in ms, by [`Stage::name`], summed over gates. Gates run at once, so the sum may exceed
     /// [`Progress::elapsed_ms`].
     pub fn stages_ms(&self) -> BTreeMap<String, f64> {
-        self.state().stages_ms.iter().map(|(stage, ms)| (stage.name().to_owned(), *ms)).collect()
+        self.state().stages.iter().map(|(stage, ran)| (stage.name().to_owned(), ran.busy.as_secs_f64() * 1e3)).collect()
+    }
+
+    /// Notes that results were made from this moment until now, and says how long that is in s.
+    pub fn results_made_since(&self, began: Instant) -> f64 {
+        let made = Ran::once(began, Instant::now());
+        self.state().results = Some(made);
+        made.busy.as_secs_f64()
+    }
+
+    /// When each stage ran, as far as its runs are over, in the order of [`Stage::ALL`].
+    pub fn stages(&self) -> Vec<StageTime> {
+        let state = self.state();
+        let stages = state.stages.iter().map(|(stage, ran)| (stage.name(), *ran));
+        let at = |moment: Instant| self.began_at + moment.duration_since(self.began);
+        let time = |(name, Ran { began, ended, runs, busy }): (_, Ran)| StageTime { name, began: at(began), ended: at(ended), runs, busy };
+        stages.chain(state.results.map(|ran| (RESULTS, ran))).map(time).collect()
     }
 }
 
@@ -89,7 +150,8 @@ impl Monitor for Progress {
     fn end(&self, stage: Stage, gate: Option<usize>) {
         let mut state = self.state();
         if let Some(began) = state.under_way.get_mut(&(stage, gate, thread::current().id())).and_then(Vec::pop) {
-            *state.stages_ms.entry(stage).or_default() += began.elapsed().as_secs_f64() * 1e3;
+            let ran = Ran::once(began, Instant::now());
+            state.stages.entry(stage).and_modify(|before| *before = before.and(ran)).or_insert(ran);
         }
     }
 
@@ -151,5 +213,11 @@ mod tests {
         progress.end(Stage::Deformation, Some(0));
         progress.end(Stage::Deformation, Some(0));
         assert!(progress.stages_ms()["deformation"] >= 15.0, "{:?}", progress.stages_ms());
+        let [stage] = progress.stages().try_into().unwrap();
+        assert_eq!((stage.name, stage.runs), ("deformation", 3));
+        let span = stage.ended.duration_since(stage.began).unwrap();
+        assert!(span >= Duration::from_millis(5) && span < stage.busy && stage.began >= progress.began_at, "{stage:?}");
+        assert!(progress.results_made_since(Instant::now()) >= 0.0);
+        assert_eq!(progress.stages().last().map(|stage| (stage.name, stage.runs)), Some((RESULTS, 1)));
     }
 }

@@ -1,6 +1,11 @@
-//! What can be chosen about a store.
+//! What can be chosen about a store, and about those who work on its jobs.
 
-use std::{path::PathBuf, time::Duration};
+use super::{
+    threads::Threads,
+    work::{Work, reconstruct_and_export},
+};
+use crate::traces::Traces;
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 /// Where jobs are kept.
 #[derive(Clone, PartialEq, Eq)]
@@ -80,6 +85,43 @@ impl Default for StoreSettings {
             poll: Duration::from_secs(1),
             listen: true,
             connections: 10,
+        }
+    }
+}
+
+/// Everything about the workers that can be chosen.
+#[derive(Clone)]
+pub struct WorkerSettings {
+    /// Jobs worked on at once.
+    pub workers: usize,
+    /// Who decides on how many threads a job is computed.
+    pub threads: Threads,
+    /// Name of this node in the leases, for people who read the table.
+    pub node: String,
+    /// How often a lease is renewed.
+    pub heartbeat: Duration,
+    /// How often progress is written at most.
+    pub progress_interval: Duration,
+    /// How often a free worker looks for jobs it was not told of.
+    pub poll: Duration,
+    /// What is done with a job.
+    pub work: Work,
+    /// Who is told what each took.
+    pub traces: Traces,
+}
+
+impl Default for WorkerSettings {
+    /// One worker with all processors.
+    fn default() -> Self {
+        Self {
+            workers: 1,
+            threads: Threads::ByLoad(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)),
+            node: "local".to_owned(),
+            heartbeat: Duration::from_secs(5),
+            progress_interval: Duration::from_millis(250),
+            poll: Duration::from_secs(1),
+            work: Arc::new(reconstruct_and_export),
+            traces: Traces::default(),
         }
     }
 }

@@ -16,7 +16,7 @@ use super::{
     settings::{Backend, StoreSettings},
     watch::Watchers,
 };
-use crate::subject::Subject;
+use crate::{subject::Subject, traces::Origins};
 use jiff::Timestamp;
 use sha2::{Digest, Sha256};
 use std::{
@@ -67,6 +67,8 @@ pub(super) struct Inner {
     pub(super) work_ready: Notify,
     /// What the workers of this process hold.
     running: Mutex<HashMap<Uuid, Arc<Progress>>>,
+    /// Which requests of this process submitted which jobs, where requests are traced.
+    pub(super) origins: Origins,
     /// Who hears what other nodes tell.
     listener: OnceLock<AbortHandle>,
     pub(super) last_probe: LastProbe,
@@ -107,6 +109,7 @@ impl Store {
             feed: OnceLock::new(),
             work_ready: Notify::new(),
             running: Mutex::default(),
+            origins: Origins::default(),
             listener: OnceLock::new(),
             last_probe: LastProbe::default(),
             clock: Clock::default(),

@@ -11,6 +11,7 @@ use super::{
     queue::{Load, Reservation},
     store::{INPUT, SUBJECT, Store, insert_blob, parse_id, sha256},
 };
+use crate::traces::current;
 use tracing::Instrument as _;
 use uuid::Uuid;
 
@@ -24,6 +25,8 @@ impl Store {
     pub async fn submit_assembled(&self, reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
         let store = self.clone();
         let submit = async move { timed(Operation::Submit, store.submit_to_end(reservation, new, members)).await };
+        // A task of its own is part of nothing unless it is told.
+        let submit = current().scope(submit);
         tokio::spawn(submit.in_current_span()).await.map_err(|_| StoreError::Interrupted)?
     }
 
@@ -56,7 +59,13 @@ impl Store {
         row.insert(self, &mut transaction).await?;
         self.take(&mut transaction, &owner, members, id).await?;
         let job = self.get_in(&mut transaction, id).await?;
+        let traced = current();
+        // Before any worker can see the job.
+        if let Some(origin) = traced.origin() {
+            self.inner.origins.remember(id, origin);
+        }
         transaction.commit().await?;
+        traced.accepted(id);
         reservation.into_queued(bytes);
         self.inner.work_ready.notify_one();
         self.inner.watchers.announce(id);

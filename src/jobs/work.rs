@@ -113,7 +113,7 @@ pub fn reconstruct_and_export(study: &Study, parameters: &Parameters, id: Uuid, 
     for of_gate in gates {
         outputs.extend(of_gate?);
     }
-    stages_took(progress, parameters.preset, reconstructed.elapsed().as_secs_f64());
+    stages_took(progress, parameters.preset, progress.results_made_since(reconstructed));
     Ok(outputs)
 }
 

@@ -5,13 +5,14 @@ use super::{
     compute::ComputeThread,
     error::StoreError,
     input,
-    job::JobError,
+    job::{JobError, State},
     lease::{Claim, Finish, Heartbeat, Outcome},
     progress::{Progress, Snapshot},
     reaper,
+    settings::WorkerSettings,
     store::Store,
-    threads::Threads,
-    work::{Output, Work, WorkError, reconstruct_and_export},
+    traced::{self, Step, Without},
+    work::{Output, WorkError},
 };
 use futures_util::future::join_all;
 use std::{
@@ -24,46 +25,12 @@ use tokio::{
     task::{AbortHandle, JoinHandle},
     time::{Instant, MissedTickBehavior, interval, sleep, timeout},
 };
-use tracing::Instrument as _;
+use tracing::{Instrument as _, field};
 
 /// How long a computation that was told to stop may take to do so before its job is given back without it.
 const STOP_GRACE: Duration = Duration::from_secs(1);
 /// How long giving back may take at the end of a drain.
 const GIVE_BACK_TIME: Duration = Duration::from_secs(5);
-
-/// Everything about the workers that can be chosen.
-#[derive(Clone)]
-pub struct WorkerSettings {
-    /// Jobs worked on at once.
-    pub workers: usize,
-    /// Who decides on how many threads a job is computed.
-    pub threads: Threads,
-    /// Name of this node in the leases, for people who read the table.
-    pub node: String,
-    /// How often a lease is renewed.
-    pub heartbeat: Duration,
-    /// How often progress is written at most.
-    pub progress_interval: Duration,
-    /// How often a free worker looks for jobs it was not told of.
-    pub poll: Duration,
-    /// What is done with a job.
-    pub work: Work,
-}
-
-impl Default for WorkerSettings {
-    /// One worker with all processors.
-    fn default() -> Self {
-        Self {
-            workers: 1,
-            threads: Threads::ByLoad(std::thread::available_parallelism().map_or(1, std::num::NonZero::get)),
-            node: "local".to_owned(),
-            heartbeat: Duration::from_secs(5),
-            progress_interval: Duration::from_millis(250),
-            poll: Duration::from_secs(1),
-            work: Arc::new(reconstruct_and_export),
-        }
-    }
-}
 
 /// What a drain came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -157,8 +124,10 @@ impl Worker {
                     backoff = Backoff::default();
                     // Where one job was, there may be another for a worker that was not told.
                     self.store.inner.work_ready.notify_one();
-                    let span = tracing::info_span!("job", job_id = %claim.id, attempt = claim.attempt);
-                    given_back += usize::from(self.work_on(claim).instrument(span).await);
+                    let traced = traced::span(&self.settings.traces, &self.store, &claim);
+                    let span = tracing::info_span!("job", job_id = %claim.id, attempt = claim.attempt, trace_id = traced.trace_id().map(field::display));
+                    given_back += usize::from(traced.scope(self.work_on(claim)).instrument(span).await);
+                    traced.end();
                 }
                 Ok(None) => {
                     let idle = async {
@@ -183,7 +152,10 @@ impl Worker {
         metrics::histogram!("ventricle_job_wait_seconds").record(claim.waited.as_secs_f64());
         let progress = Arc::new(Progress::begin_now());
         let _held = Held::new(&self.store, &claim, &progress);
-        let input = match self.input(&claim).await {
+        let step = Step::begin("input");
+        let input = self.input(&claim).await;
+        step.end();
+        let input = match input {
             Some(Ok(Some(input))) => input,
             Some(Ok(None)) => {
                 lost();
@@ -196,9 +168,13 @@ impl Worker {
             None => return self.give_back(&claim).await,
         };
         let computed = self.compute(&claim, input, &progress);
-        match self.attend(&claim, &progress, computed).await {
+        let attended = self.attend(&claim, &progress, computed).await;
+        traced::stages(&progress);
+        match attended {
             Some(result) => {
+                let step = Step::begin("storing");
                 self.finish(&claim, outcome(result), &progress.snapshot()).await;
+                step.end();
                 false
             }
             None if *self.phase.borrow() == Phase::GivingBack => self.give_back(&claim).await,
@@ -294,16 +270,18 @@ impl Worker {
     async fn finish(&mut self, claim: &Claim, mut outcome: Outcome, last: &Snapshot) {
         let mut backoff = Backoff::default();
         loop {
+            let code = if let Outcome::Failed(error) = &outcome { Some(error.code.clone()) } else { None };
             match self.store.finish(claim, outcome.clone(), last).await {
                 Ok(Finish::Done(state)) => {
                     tracing::info!(state = state.name(), "job finished");
+                    traced::ended(state.name(), code.filter(|_| state == State::Failed));
                     return;
                 }
                 Ok(Finish::Lost) => return lost(),
                 Err(error) if error.is_passing() => {
                     tracing::warn!(%error, "the end of the job could not be stored yet");
                     if !unless_phase(&mut self.phase, Phase::GivingBack, backoff.pause()).await {
-                        return;
+                        return traced::ended_without(Without::Store);
                     }
                 }
                 Err(error) if matches!(outcome, Outcome::Succeeded(_)) => {
@@ -312,7 +290,7 @@ impl Worker {
                 }
                 Err(error) => {
                     tracing::error!(%error, "the end of the job cannot be stored; its lease will lapse");
-                    return;
+                    return traced::ended_without(Without::Store);
                 }
             }
         }
@@ -320,9 +298,13 @@ impl Worker {
 
     async fn give_back(&self, claim: &Claim) -> bool {
         match self.store.give_back(claim).await {
-            Ok(held) => held,
+            Ok(held) => {
+                traced::ended_without(if held { Without::Time } else { Without::Lease });
+                held
+            }
             Err(error) => {
                 tracing::warn!(%error, "the job could not be given back; its lease will lapse");
+                traced::ended_without(Without::Store);
                 false
             }
         }
@@ -385,6 +367,7 @@ fn outcome(result: Result<Vec<Output>, WorkError>) -> Outcome {
 fn lost() {
     tracing::warn!("the lease was lost; the work of this attempt is discarded");
     metrics::counter!("ventricle_leases_lost_total").increment(1);
+    traced::ended_without(Without::Lease);
 }
 
 fn internal_error() -> JobError {

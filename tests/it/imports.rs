@@ -28,8 +28,9 @@ enum External {
     AllBut(&'static [&'static str]),
 }
 
-const NUMERICS: &[&str] =
-    &["volume", "mesh", "study", "subject", "phantom", "intake", "pipeline", "analysis", "report", "export", "parameters"];
+/// What a job is made of, and who is told what it took.
+const BELOW_JOBS: &[&str] =
+    &["volume", "mesh", "study", "subject", "phantom", "intake", "pipeline", "analysis", "report", "export", "parameters", "traces"];
 
 /// `paper` and `accuracy` are not among them: nothing of the service needs them.
 const EVERYTHING: &[&str] = &[
@@ -57,6 +58,7 @@ const EVERYTHING: &[&str] = &[
     "tls",
     "config",
     "telemetry",
+    "traces",
 ];
 
 /// Files, environment, sockets, processes, clocks: what would make a pure function impure.
@@ -89,6 +91,9 @@ const SERVICE: &[&str] = &[
     "utoipa_axum",
     "utoipa_swagger_ui",
 ];
+
+/// Crates that one module alone has: no other could make a span that says more than the list in `traces` allows.
+const OF_TRACES: &[&str] = &["opentelemetry", "opentelemetry_proto", "opentelemetry_sdk", "prost"];
 
 const RULES: &[Rule] = &[
     Rule { module: "volume", crate_modules: &[], external: External::Only(&["ndarray", "glam", "serde"]) },
@@ -150,7 +155,7 @@ const RULES: &[Rule] = &[
     },
     Rule {
         module: "jobs",
-        crate_modules: NUMERICS,
+        crate_modules: BELOW_JOBS,
         external: External::AllBut(&[
             "axum",
             "clap",
@@ -287,6 +292,27 @@ const RULES: &[Rule] = &[
         crate_modules: &["access", "dimse", "jobs", "networks"],
         external: External::AllBut(&["axum", "dicom_ul", "sqlx", "tokio"]),
     },
+    // It is given what is true of a request or a job, and someone who sends.
+    Rule {
+        module: "traces",
+        crate_modules: &[],
+        external: External::AllBut(&[
+            "axum",
+            "clap",
+            "glam",
+            "hyper",
+            "ndarray",
+            "rayon",
+            "sqlx",
+            "std::env",
+            "std::fs",
+            "std::net",
+            "tokio_rustls",
+            "tracing_subscriber",
+            "ureq",
+            "url",
+        ]),
+    },
     Rule { module: "telemetry", crate_modules: &["config"], external: External::AllBut(&["axum", "sqlx", "std::env"]) },
 ];
 
@@ -374,6 +400,10 @@ fn a_violating_source_is_caught() {
         ("paper", "use crate::{phantom, intake};", "crate::intake"),
         ("accuracy", "use crate::paper::printed;", "crate::paper"),
         ("drawing", "use crate::mesh::Mesh;", "crate::mesh"),
+        ("http", "use opentelemetry::KeyValue;", "opentelemetry"),
+        ("jobs", "use opentelemetry_sdk::trace::SdkTracer;", "opentelemetry_sdk"),
+        ("traces", "use crate::http::router;", "crate::http"),
+        ("traces", "use tokio_rustls::TlsConnector;", "tokio_rustls"),
     ] {
         let found = violations(text, &[module.to_owned()], &external_crates());
         let expected = Violation { module: module.to_owned(), used: used.to_owned(), line: 1 };
@@ -450,6 +480,9 @@ fn forbidden(rule: &Rule, path: &[String], externals: &BTreeSet<String>) -> Opti
     }
     if !externals.contains(&path[0]) {
         return None;
+    }
+    if rule.module != "traces" && OF_TRACES.contains(&path[0].as_str()) {
+        return Some(path[0].clone());
     }
     let whole = path.join("::");
     let within =

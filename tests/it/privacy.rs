@@ -2,6 +2,7 @@
 //! wrong, and then all that the service says, logs and stores is searched. Besides, that `docs/privacy.md` lists what does leave.
 
 use crate::{
+    collector::{Collector, Manner},
     parted,
     served::{Answer, Directory, Served},
 };
@@ -122,7 +123,9 @@ fn stored(directory: &Path) -> Vec<u8> {
 fn nothing_that_names_anybody_leaves_the_intake() {
     let (data, logs) = (Directory::new("private"), Directory::new("private-log"));
     let log = logs.0.join("log");
-    let service = Served::start_logging(&data.0, &log, &["--quiet-seconds", "1", "--keep-input"]);
+    let collector = Collector::start(Manner::Takes);
+    let flags = ["--quiet-seconds", "1", "--keep-input", "--node", "the-node", "--otlp-endpoint", &collector.url];
+    let service = Served::start_logging(&data.0, &log, &flags);
     let file = marked();
     let accepted = service.post("application/dicom", &file);
     assert_eq!(accepted.status, 202, "{}", accepted.json());
@@ -168,11 +171,37 @@ fn nothing_that_names_anybody_leaves_the_intake() {
     assert!(lines.lines().count() > 100, "{lines}");
     assert_clean("the log", lines.as_bytes());
     assert!(!lines.contains(&parted::text_of(&file, tags::STUDY_INSTANCE_UID)), "UIDs are not logged");
+    assert_untold(&service, &collector, &file);
     drop(service);
     let stored = stored(&data.0);
     assert!(finds(&stored, "SQLite format 3"));
     for (tag, _, value) in identifying().into_iter().filter(|(tag, ..)| *tag != tags::IMAGE_ID) {
         assert!(!finds(&stored, value), "{tag} is on the disk");
+    }
+}
+
+/// What the service has told its collector so far, and tells it of a request that has names wherever a client can write any, holds none of them; nor
+/// UIDs, paths, addresses of clients and owners.
+fn assert_untold(service: &Served, collector: &Collector, file: &[u8]) {
+    let config = ureq::Agent::config_builder().http_status_as_error(false).allow_non_standard_methods(true);
+    let agent = config.timeout_global(Some(Duration::from_mins(1))).build().new_agent();
+    // The last one says which it is: what ended before it was sent before it, or with it.
+    for (method, traceparent) in [("QX7-DOE", "QX7-DOE^JANE"), ("GET", "00-000000000000000000000000000000aa-00000000000000bb-01")] {
+        let path = "/v1/reconstructions/QX7-DOE/report?QX7-=QX7-DOE";
+        let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", service.url));
+        let request = request.header("traceparent", traceparent).header("tracestate", "qx7-a=QX7-DOE").header("baggage", "qx7-a=QX7-DOE");
+        let request = request.header("x-request-id", "QX7-DOE").header("user-agent", "QX7-DOE").header("x-forwarded-for", "192.0.2.77");
+        drop(agent.run(request.body(()).unwrap()).unwrap());
+    }
+    collector.wait_for(|collector| collector.spans().iter().any(|span| span.parent_span_id.last() == Some(&0xbb)));
+    let told = collector.spans();
+    assert!(told.len() > 100 && told.iter().any(|span| span.name == "job"), "{}", told.len());
+    let uid = parted::text_of(file, tags::STUDY_INSTANCE_UID);
+    for text in [MARK, BIRTH, "1837-02-19", "JANE", "127.0.0.1", "192.0.2.77", "anonymous", uid.as_str()] {
+        for request in collector.received() {
+            assert!(!finds(&request.body, text), "a span holds {text}: {told:#?}");
+            assert!(!finds(request.head.as_bytes(), text) || text == "127.0.0.1", "{}", request.head);
+        }
     }
 }
 
@@ -264,6 +293,12 @@ fn what_leaves_the_intake_is_what_the_table_says() {
     let fields: BTreeSet<String> = ALLOWED.iter().filter_map(|allowed| allowed.leaves_as.map(str::to_owned)).collect();
     let of_the_service = ["acquisition", "format", "warnings"].map(str::to_owned);
     assert_eq!(fields.into_iter().chain(of_the_service).collect::<BTreeSet<_>>(), has);
+}
+
+#[test]
+fn what_is_said_of_a_span_is_what_the_table_says() {
+    let told: Vec<String> = table("span attribute").into_iter().map(|row| row[0].trim_matches('`').to_owned()).collect();
+    assert_eq!(told, ventricle::traces::Attribute::NAMES);
 }
 
 #[test]
