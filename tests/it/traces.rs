@@ -227,6 +227,43 @@ fn a_part_is_told_and_whoever_names_a_parent_decides() {
     assert!(spans.iter().all(|span| span.trace_id == request.trace_id || span.trace_id == job.trace_id));
 }
 
+#[test]
+fn an_attempt_that_is_given_back_and_one_that_is_cancelled_are_told_as_what_they_are() {
+    let (data, collector) = (Directory::new("attempts"), Collector::start(Manner::Takes));
+    let start = || service(&data.0, &data.0.join("log"), &["--otlp-endpoint", &collector.url, "--drain-seconds", "0"]);
+    let deforming = |service: &Served, id: &str| {
+        let began = Instant::now();
+        while service.get(&format!("/v1/reconstructions/{id}")).json()["progress"]["stage"] != "deformation" {
+            assert!(began.elapsed() < LONG, "it never deforms");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    // Minutes of work: it does not end by itself.
+    let parameters = "preset=paper&mesh.level=4&deform.model=plane&deform.max_steps=20000&deform.time_step_s=0.001";
+    let first = start();
+    let id = first.post_with(parameters, "application/dicom", &small()).json()["id"].as_str().unwrap().to_owned();
+    deforming(&first, &id);
+    stop(first);
+    let second = start();
+    deforming(&second, &id);
+    assert_eq!(second.delete(&format!("/v1/reconstructions/{id}")).status, 202);
+    assert_eq!(second.finished(&id, LONG)["state"], "cancelled");
+    stop(second);
+
+    let spans = collector.spans();
+    sound(&spans);
+    let [given_back, cancelled] = named(&spans, "job").try_into().unwrap();
+    for (span, attempt, outcome, links) in [(given_back, 1, "given_back", 1), (cancelled, 2, "cancelled", 0)] {
+        let told = said(span);
+        assert_eq!((&told["ventricle.job.id"], &told["ventricle.job.preset"]), (&json!(id), &json!("paper")));
+        assert_eq!((&told["ventricle.job.attempt"], &told["ventricle.job.outcome"]), (&json!(attempt), &json!(outcome)));
+        // Which request submitted it, the process that took it in knows, and no other.
+        assert_eq!((span.links.len(), is_error(span)), (links, false));
+        assert!(spans.iter().any(|part| part.name == "region" && part.parent_span_id == span.span_id), "{outcome}");
+        assert!(!spans.iter().any(|part| part.name == "results" && part.parent_span_id == span.span_id), "{outcome}");
+    }
+}
+
 /// A service whose collector is no good does its work, counts what was not taken, and ends in time.
 fn bears(endpoint: &str, counted: bool) {
     let data = Directory::new("bears");
