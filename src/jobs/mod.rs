@@ -23,7 +23,7 @@
 //! | `traced.rs` | what traces are told of an attempt |
 //! | `work.rs` | what a job computes: reconstruction, report, surfaces |
 //! | `input.rs` | the stored form of a study |
-//! | `database.rs`, `schema.rs` | one SQL text on two engines |
+//! | `database.rs`, `schema.rs`, `embedded.rs` | one SQL text on two engines, and what SQLite alone needs |
 //! | `watch.rs`, `listen.rs` | who waits for a change of which job, and who hears of those that other nodes make |
 //! | `feed.rs` | what everyone is told who listens to all jobs |
 
@@ -32,6 +32,7 @@ mod clock;
 mod compute;
 mod database;
 mod deliveries;
+mod embedded;
 mod ending;
 mod error;
 mod expiry;

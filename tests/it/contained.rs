@@ -1,4 +1,4 @@
-//! The service as the image runs it: a root directory that is read-only and has a C library and the program, no shell, no capabilities.
+//! The service as the image runs it: a root directory that is read-only and has a C library and the program, no shell, nothing else.
 
 use crate::{
     encapsulated::{converted, phantom_file},

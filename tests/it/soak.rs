@@ -27,8 +27,8 @@ const STEADY: f64 = 1.25;
 const P99_MS: f64 = 25.0;
 /// Looks at which all workers were busy, at least: else this is not the machine's capacity.
 const BUSY: f64 = 0.9;
-/// Descriptors of the connections to the database that are opened when first needed: four readers, each with the file, its log and its index.
-const READERS_FILES: usize = 12;
+/// Descriptors of the connections to the database that are opened when first needed: two readers, each with the file, its log and its index.
+const READERS_FILES: usize = 6;
 /// The rest of what was accepted is finished sooner.
 const PATIENCE: Duration = Duration::from_mins(5);
 

@@ -879,6 +879,10 @@ export interface components {
             disk: components["schemas"]["ReadinessCheck"];
             /** @description The audit log, where there is one, is written. */
             audit: components["schemas"]["ReadinessCheck"];
+            /** @description File descriptors are left. */
+            descriptors: components["schemas"]["ReadinessCheck"];
+            /** @description The clock runs as time does. Always well; its sentence says if it was set. */
+            clock: components["schemas"]["ReadinessCheck"];
             /** @description The service is not stopping. */
             service: components["schemas"]["ReadinessCheck"];
         };
@@ -3631,7 +3635,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The queue is full or the service is stopping; `Retry-After` says when to try again */
+            /** @description The queue is full (`queue_full`), no room for bodies is left (`uploads_full`), the database is away or full (`store_unavailable`), compressed images cannot be decoded now (`decoder_unavailable`), or the service is stopping (`draining`); `Retry-After` says when to try again */
             503: {
                 headers: {
                     /** @description Seconds */
