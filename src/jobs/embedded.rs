@@ -1,6 +1,7 @@
 //! The embedded database: SQLite in a data directory that one process has for itself.
 
 use super::{database::ACQUIRE_TIMEOUT, error::StoreError};
+use futures_util::future::try_join_all;
 use sqlx::{
     Pool, Sqlite,
     sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteLockingMode, SqlitePoolOptions, SqliteSynchronous},
@@ -73,6 +74,8 @@ impl Embedded {
             tokio::time::sleep(LOCK_PAUSE).await;
         };
         let readers = connections(READERS).connect_lazy_with(options.pragma("query_only", "ON"));
+        // Now, and not when they are needed: opening one takes file descriptors, and a disk that can be written.
+        drop(try_join_all((0..READERS).map(|_| readers.acquire())).await?);
         let embedded = Self { writer, readers, lock: Arc::new(lock) };
         embedded.check().await?;
         Ok(embedded)

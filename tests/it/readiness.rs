@@ -41,7 +41,7 @@ fn an_embedded_database_that_takes_no_writes_makes_the_service_not_ready() {
     // The signal that would end a program whose file reaches the limit is ignored, so that it gets an error as from a full disk.
     let mut command = Command::new("bash");
     command.args(["-c", "trap '' XFSZ; exec \"$@\"", "bash", env!("CARGO_BIN_EXE_ventricle")]);
-    command.args(["serve", "--listen", "127.0.0.1:0", "--log", "error", "--data-dir"]).arg(&data.0);
+    command.args(["serve", "--listen", "127.0.0.1:0", "--log", "warn", "--data-dir"]).arg(&data.0);
     command.stderr(std::fs::File::create(data.0.join("log")).unwrap());
     let service = Served::start_by(command, &[]);
     assert_eq!(service.get("/readyz").status, 200);

@@ -27,8 +27,6 @@ const STEADY: f64 = 1.25;
 const P99_MS: f64 = 25.0;
 /// Looks at which all workers were busy, at least: else this is not the machine's capacity.
 const BUSY: f64 = 0.9;
-/// Descriptors of the connections to the database that are opened when first needed: two readers, each with the file, its log and its index.
-const READERS_FILES: usize = 6;
 /// The rest of what was accepted is finished sooner.
 const PATIENCE: Duration = Duration::from_mins(5);
 
@@ -85,16 +83,15 @@ async fn mixed_load_leaves_memory_and_descriptors_as_they_were_and_errors_are_th
     println!("audit log: {} lines", std::fs::read_to_string(&audit).unwrap().lines().count());
 
     assert!(service.is_alive());
-    let unintended = seen.unintended.lock().unwrap();
+    let unintended = std::mem::take(&mut *seen.unintended.lock().unwrap());
     assert!(unintended.is_empty(), "{} answers were not intended, as {:#?}", unintended.len(), &unintended[..unintended.len().min(10)]);
-    drop(unintended);
     let log = std::fs::read_to_string(&log).unwrap();
     let errors: Vec<&str> = log.lines().filter(|line| line.contains("\"ERROR\"") || line.contains("panicked")).collect();
     assert!(errors.is_empty(), "{errors:#?}");
     seen.assert_every_job_ended();
-    assert!(files_after <= files_before + READERS_FILES, "{files_before} descriptors were open before, {files_after} after");
-    assert_eq!(target.metric("ventricle_upload_reserved_bytes").await, 0.0);
-    assert_eq!(target.metric("ventricle_http_connections").await, 1.0, "beside the one that asks");
+    assert!(files_after <= files_before, "{files_before} descriptors were open before, {files_after} after");
+    let left = (target.metric("ventricle_upload_reserved_bytes").await, target.metric("ventricle_http_connections").await);
+    assert!(left.0 < 1.0 && left.1 < 2.0, "bytes that are reserved, connections beside the one that asks: {left:?}");
     if time.as_secs() < WHOLE_S {
         let (middle, last) = watched.thirds_mib();
         assert!(last <= STEADY * middle, "{last:.0} MiB after {middle:.0}");

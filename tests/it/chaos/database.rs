@@ -43,6 +43,7 @@ fn a_database_that_is_away_loses_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[expect(clippy::await_holding_lock, reason = "the test has the machine to itself, all its way")]
 async fn a_database_that_is_read_only_loses_nothing() {
     let _alone = alone();
     let Some(cluster) = Cluster::start("a database that is read-only") else { return };

@@ -62,6 +62,7 @@ async fn until_succeeded(connection: &mut Connection, ids: &[String]) -> u64 {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[expect(clippy::await_holding_lock, reason = "the test has the machine to itself, all its way")]
 async fn without_a_file_descriptor_who_is_connected_is_served_and_nothing_is_lost() {
     let Some(compressed) = compressed() else { return };
     let _alone = alone();
@@ -102,6 +103,7 @@ async fn without_a_file_descriptor_who_is_connected_is_served_and_nothing_is_los
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[expect(clippy::await_holding_lock, reason = "the test has the machine to itself, all its way")]
 async fn clients_that_open_connections_and_do_nothing_leave_descriptors_for_work() {
     let Some(compressed) = compressed() else { return };
     let _alone = alone();

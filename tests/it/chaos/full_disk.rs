@@ -42,7 +42,7 @@ fn a_full_disk_loses_nothing() {
     let mut service = Served::start_by(command, &["--workers", "1"]);
     until_ready(&service);
     let done = accepted(&service, QUICK);
-    assert_finished(&service, &[done.clone()]);
+    assert_finished(&service, std::slice::from_ref(&done));
     let mut ids = some_accepted(&service);
     assert_eq!(service.get("/readyz").status, 200);
 
@@ -83,7 +83,7 @@ fn a_full_disk_loses_nothing() {
     let audit = fs::read_to_string(seen.join("audit")).unwrap();
     let torn = audit.lines().filter(|line| serde_json::from_str::<serde_json::Value>(line).is_err()).count();
     assert!(torn <= 1, "one line, the one that met the end of the disk: {audit}");
-    assert!(audit.ends_with("\n"), "what came after it is whole");
+    assert!(audit.ends_with('\n'), "what came after it is whole");
     say("disk full", &told, ids.len(), attempts);
 }
 

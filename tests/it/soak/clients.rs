@@ -159,7 +159,8 @@ impl Seen {
 
     pub(super) fn told(&self) -> String {
         let outcomes = self.outcomes.lock().unwrap();
-        outcomes.iter().map(|((what, outcome), count)| format!("  {what}: {outcome} {count}\n")).collect()
+        let lines: Vec<String> = outcomes.iter().map(|((what, outcome), count)| format!("  {what}: {outcome} {count}")).collect();
+        lines.join("\n")
     }
 
     pub(super) fn assert_every_job_ended(&self) {
@@ -241,7 +242,7 @@ async fn submit(mut client: Client) {
                         Ok(again) if again.status == 200 && again.json()["id"] == id.as_str() => client.seen.count("submit again", "200"),
                         // Its room is asked for before it is known.
                         Ok(again) if again.status == 503 && again.code() == "queue_full" => {
-                            client.seen.count("submit again", "503 queue_full")
+                            client.seen.count("submit again", "503 queue_full");
                         }
                         other => client.seen.unintended("submit again", told(other)),
                     }

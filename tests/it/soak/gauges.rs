@@ -28,7 +28,7 @@ impl Gauges {
     /// Looks once a second for so long.
     pub(super) async fn watch(mut self, process: u32, time: Duration) -> Self {
         let end = Instant::now() + time;
-        let mut looks = interval(Duration::from_secs(60) / LOOKS_A_MINUTE as u32);
+        let mut looks = interval(Duration::from_mins(1) / LOOKS_A_MINUTE as u32);
         looks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         while Instant::now() < end {
             looks.tick().await;

@@ -19,6 +19,8 @@ export class VentricleViewer extends HTMLElement {
 
   #shown: AbortController | null = null;
   #headers: Readonly<Record<string, string>> = {};
+  /** Between its coming into a page and its going: an element that the page had before this script is told of its attributes first. */
+  #placed = false;
   #now: { view: View; cycle: Cycle; model: Model; legend: HTMLElement } | null = null;
 
   constructor() {
@@ -33,7 +35,7 @@ export class VentricleViewer extends HTMLElement {
 
   set headers(headers: Readonly<Record<string, string>>) {
     this.#headers = { ...headers };
-    if (this.isConnected) void this.#load();
+    if (this.#placed) void this.#load();
   }
 
   connectedCallback(): void {
@@ -43,16 +45,18 @@ export class VentricleViewer extends HTMLElement {
       Reflect.deleteProperty(this, "headers");
       this.#headers = { ...(early.value as Readonly<Record<string, string>>) };
     }
+    this.#placed = true;
     void this.#load();
   }
 
   disconnectedCallback(): void {
+    this.#placed = false;
     this.#shown?.abort();
     this.#now = null;
   }
 
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
-    if (!this.isConnected || before === now) return;
+    if (!this.#placed || before === now) return;
     if (name === "src" || name === "report") void this.#load();
     else this.#apply(name);
   }
