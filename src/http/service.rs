@@ -336,7 +336,7 @@ const DECODER_DESCRIPTORS: u64 = 4;
 /// HTTP connections at once: as the settings say, as far as the system gives file descriptors.
 fn most_connections(settings: &ServeSettings) -> usize {
     let wanted = settings.transport.max_connections as usize;
-    let Some((_, descriptors)) = telemetry::process::descriptors() else { return wanted };
+    let Ok(Some((_, descriptors))) = telemetry::process::descriptors() else { return wanted };
     let decoders = u64::from(settings.transport.max_uploads) * DECODER_DESCRIPTORS;
     let most = connections::within(wanted, descriptors, OTHER_DESCRIPTORS + decoders + u64::from(settings.database_connections));
     if most < wanted {

@@ -3,7 +3,7 @@
 //!
 //! Written as text and not through the recorder, whose counters are whole numbers: processor time is not.
 
-use std::{fmt::Write as _, fs};
+use std::{fmt::Write as _, fs, io};
 
 /// Clock ticks a second in `/proc` (`USER_HZ`), which Linux holds at 100 for programs whatever the kernel's own clock is.
 const TICKS_A_SECOND: f64 = 100.0;
@@ -19,10 +19,19 @@ pub struct Reading {
     pub value: f64,
 }
 
-/// File descriptors that are open, and how many may be; nothing where that cannot be told, be it for want of one to look with.
-pub fn descriptors() -> Option<(u64, u64)> {
-    let open = open_files()? as u64;
-    Some((open, most_files(&fs::read_to_string("/proc/self/limits").ok()?).map_or(u64::MAX, |most| most as u64)))
+/// File descriptors that are open, and how many may be; `None` where the system has no `/proc`.
+///
+/// # Errors
+/// There is none left to look with.
+pub fn descriptors() -> io::Result<Option<(u64, u64)>> {
+    // To ask whether it is there takes no descriptor.
+    if !fs::exists("/proc/self/fd")? {
+        return Ok(None);
+    }
+    // One of them is this look itself.
+    let open = fs::read_dir("/proc/self/fd")?.count().saturating_sub(1) as u64;
+    let most = most_files(&fs::read_to_string("/proc/self/limits")?);
+    Ok(Some((open, most.map_or(u64::MAX, |most| most as u64))))
 }
 
 /// What can be read now; nothing where the system has no `/proc`.
@@ -30,11 +39,12 @@ pub fn readings() -> Vec<Reading> {
     let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
     let (status, stat, limits, system) =
         (read("/proc/self/status"), read("/proc/self/stat"), read("/proc/self/limits"), read("/proc/stat"));
+    let open = descriptors().ok().flatten().map(|(open, _)| open as f64);
     [
         ("process_cpu_seconds_total", "counter", processor_s(&stat)),
         ("process_resident_memory_bytes", "gauge", field(&status, "VmRSS:").map(|kib| kib * 1024.0)),
         ("process_threads", "gauge", field(&status, "Threads:")),
-        ("process_open_fds", "gauge", open_files().map(|open| open as f64)),
+        ("process_open_fds", "gauge", open),
         ("process_max_fds", "gauge", most_files(&limits)),
         ("process_start_time_seconds", "gauge", start_s(&stat, &system)),
     ]
@@ -50,11 +60,6 @@ pub fn text() -> String {
         let _ = write!(text, "# TYPE {name} {kind}\n{name} {value}\n\n");
         text
     })
-}
-
-/// One that is seen is this look itself.
-fn open_files() -> Option<usize> {
-    fs::read_dir("/proc/self/fd").ok().map(|entries| entries.count().saturating_sub(1))
 }
 
 /// The number after a name at the beginning of a line.
