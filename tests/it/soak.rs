@@ -6,7 +6,7 @@ mod clients;
 mod gauges;
 
 use crate::served::{Directory, Served, program};
-use clients::{Job, Seen, Studies};
+use clients::{Seen, Studies};
 use gauges::{Gauges, median, quantile};
 use serde_json::Value;
 use std::{
@@ -115,14 +115,4 @@ fn start(data: &Path, log: &Path, audit: &Path) -> Served {
     command.stderr(std::fs::File::create(log).unwrap()).arg("--audit-log").arg(audit);
     // Few places, so that clients are refused too; as many requests as come.
     Served::start_by(command, &["--max-queued-jobs", "8", "--requests-per-second", "100000"])
-}
-
-/// The end of a job that a reader has waited for.
-fn ended(job: &Job, document: &Value) -> Option<bool> {
-    match document["state"].as_str()? {
-        "succeeded" => Some(true),
-        "cancelled" => Some(job.cancelled),
-        "failed" => Some(false),
-        _ => None,
-    }
 }

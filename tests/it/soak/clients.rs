@@ -107,9 +107,9 @@ impl Studies {
 }
 
 /// A job on its way from who submitted it to who reads it.
-pub(super) struct Job {
+struct Job {
     id: String,
-    pub(super) cancelled: bool,
+    cancelled: bool,
 }
 
 /// What clients saw, and what they tell each other.
@@ -277,25 +277,27 @@ async fn read(mut client: Client) {
             continue;
         };
         let path = format!("/v1/reconstructions/{}", job.id);
+        // Whether it succeeded, or was taken back as asked; or what came instead.
         let ended = loop {
             match connection.ask("GET", &path, &[("prefer", "wait=10")], Bytes::new()).await {
-                Ok(answer) if answer.status == 200 => {
-                    if let Some(intended) = super::ended(&job, &answer.json()) {
-                        break Some(intended).filter(|intended| *intended).map(|_| answer.json()["state"] == "succeeded");
-                    }
-                }
+                Ok(answer) if answer.status == 200 => match answer.json()["state"].as_str() {
+                    Some("queued" | "running") => {}
+                    Some("succeeded") => break Ok(true),
+                    Some("cancelled") if job.cancelled => break Ok(false),
+                    _ => break Err(told(Ok(answer))),
+                },
                 // What is taken back before it began is gone at once.
-                Ok(answer) if answer.status == 404 && job.cancelled => break Some(false),
-                other => {
-                    client.seen.unintended("wait", told(other));
-                    break None;
-                }
+                Ok(answer) if answer.status == 404 && job.cancelled => break Ok(false),
+                other => break Err(told(other)),
             }
         };
         client.seen.ended.fetch_add(1, Ordering::Relaxed);
-        let Some(succeeded) = ended else {
-            client.seen.unintended("job", format!("{} failed", job.id));
-            continue;
+        let succeeded = match ended {
+            Ok(succeeded) => succeeded,
+            Err(told) => {
+                client.seen.unintended("job", told);
+                continue;
+            }
         };
         client.seen.count("job", if succeeded { "succeeded" } else { "cancelled" });
         for _ in 0..if succeeded { 3 } else { 0 } {
