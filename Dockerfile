@@ -16,6 +16,7 @@ WORKDIR /build
 # Dependencies first: this layer is built again only when the manifest or the lock file changes. The manifest names the integration
 # tests and the benchmarks, so cargo wants their files to exist.
 COPY Cargo.toml Cargo.lock ./
+COPY .cargo .cargo
 RUN mkdir -p src tests/it benches/http benches/instructions \
     && echo 'fn main() {}' > src/main.rs \
     && touch src/lib.rs tests/it/main.rs benches/queue.rs benches/scaling.rs benches/stages.rs benches/peers.rs benches/http/main.rs benches/instructions/main.rs \

@@ -5,6 +5,12 @@ mod commands;
 use clap::{Parser, Subcommand};
 use std::{io::Write as _, process::ExitCode};
 
+/// Results of megabytes that come and go on many threads leave holes in the heaps that glibc keeps for each (docs/decisions.md). How it is set up is said in
+/// `.cargo/config.toml`, what the service does with it in `commands/memory.rs`.
+#[cfg(unix)]
+#[global_allocator]
+static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
+
 /// Reconstructs the left ventricle from gated cardiac SPECT.
 #[derive(Parser)]
 #[command(version, about, propagate_version = true)]

@@ -14,6 +14,8 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> anyhow::Result<()> {
     telemetry::init(args.settings.log_format, &args.settings.log)?;
     allow_descriptors();
+    #[cfg(unix)]
+    super::memory::give_back_when_idle();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().context("The runtime did not start")?;
     Ok(runtime.block_on(http::serve(args.settings))?)
 }

@@ -34,6 +34,11 @@ pub fn descriptors() -> io::Result<Option<(u64, u64)>> {
     Ok(Some((open, most.map_or(u64::MAX, |most| most as u64))))
 }
 
+/// User and system time that the process has used, in s; none where the system has no `/proc`.
+pub fn processor_seconds() -> Option<f64> {
+    processor_s(&fs::read_to_string("/proc/self/stat").ok()?)
+}
+
 /// What can be read now; nothing where the system has no `/proc`.
 pub fn readings() -> Vec<Reading> {
     let read = |path: &str| fs::read_to_string(path).unwrap_or_default();

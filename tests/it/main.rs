@@ -25,6 +25,7 @@ mod inbox;
 mod intake;
 mod jobs;
 mod keys;
+mod memory;
 mod missing;
 mod models;
 mod nodes;
