@@ -35,28 +35,35 @@ pub struct AuditError {
 /// What was done. It holds nothing of a patient: jobs are known by their ids.
 #[derive(Debug, Clone, Serialize)]
 pub struct Deed {
-    /// When it was answered.
+    /// When it was asked.
     pub at: Timestamp,
-    /// What: the method and the matched path of a request, or what the service did itself.
+    /// What: the method and the matched path of a request; `C-STORE`, or `A-ASSOCIATE` of an association that was rejected.
     pub what: String,
-    /// How it went: the status.
+    /// How it went: the status that the protocol has for it.
     pub status: u16,
     /// Whose jobs were in question.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub owner: Option<String>,
-    /// Who: the id of a key, the subject of a token.
+    /// Who: the id of a key, the subject of a token, or the calling AE title, which proves nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
     /// From where.
     pub address: IpAddr,
-    /// With which job.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub job: Option<Uuid>,
-    /// Why it was refused: a problem's code.
+    /// With which jobs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub jobs: Vec<Uuid>,
+    /// Why it was refused: a problem's code, or what DICOM calls the reason.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
-    /// The request's id, as in the other log.
+    /// The id of the request or the association, as in the other log.
     pub request_id: String,
+}
+
+impl Deed {
+    /// What is asked now, before it is known by whom and how it goes.
+    pub fn asked(what: String, address: IpAddr, request_id: String) -> Self {
+        Self { at: Timestamp::now(), what, status: 0, owner: None, who: None, address, jobs: Vec::new(), refused: None, request_id }
+    }
 }
 
 enum Order {

@@ -23,7 +23,8 @@ pub(crate) fn give_back_when_idle() {
         let mut quiet = Quiet::default();
         loop {
             thread::sleep(LOOK);
-            let Some(now_s) = process::processor_seconds() else { return };
+            // Not to be read for a moment, as when no descriptor is free: the next look counts the time since the last one that told.
+            let Some(now_s) = process::processor_seconds() else { continue };
             if quiet.is_long_enough((now_s - before_s) / LOOK.as_secs_f64())
                 && let Err(error) = give_back()
             {

@@ -1,21 +1,27 @@
 //! Every setting of the service: a flag and an environment variable each, checked once at start. The only reader of the environment.
 
 mod access;
+mod dimse;
+mod error;
+mod outward;
+mod secret;
 mod traces;
 mod transport;
 
 pub use access::{AccessError, AccessSettings, default_keys_file};
+pub use dimse::DimseSettings;
+pub use error::ConfigError;
+pub use outward::OutwardSettings;
+pub use secret::Secret;
 pub use traces::TraceSettings;
 pub use transport::{ProxyHeader, TransportError, TransportSettings};
 
-use crate::{access::is_owner, dimse::is_ae_title, jobs::ANONYMOUS};
+use crate::access::is_owner;
 use clap::{Args, Parser, ValueEnum, builder::BoolishValueParser};
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
 /// A hundred years: what is meant to be kept for longer is kept until it is deleted.
 const LONGEST_RETENTION_HOURS: u64 = 876_000;
-/// Fewest characters of a secret: 16 random letters and digits are 95 bits, beyond guessing.
-const LEAST_SECRET: usize = 16;
 
 /// Where Linux has the program of the calling process, even if its file was replaced meanwhile.
 const OWN_PROGRAM: &str = "/proc/self/exe";
@@ -117,73 +123,13 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_DRAIN_SECONDS", default_value = "25", value_parser = clap::value_parser!(u64).range(0..=3600))]
     pub drain_seconds: u64,
 
-    /// URL told of the end of every job that gives no `callback_url` of its own. Needs a secret.
-    #[arg(long, env = "VENTRICLE_CALLBACK_URL", hide_env_values = true)]
-    pub callback_url: Option<Secret>,
+    /// What is told and sent to others.
+    #[command(flatten)]
+    pub outward: OutwardSettings,
 
-    /// Secret that callbacks are signed with, at least 16 characters. Better in the environment or in a file than on the command line.
-    #[arg(long, env = "VENTRICLE_CALLBACK_SECRET", hide_env_values = true)]
-    pub callback_secret: Option<Secret>,
-
-    /// File that holds that secret, white space at its ends left out.
-    #[arg(long, env = "VENTRICLE_CALLBACK_SECRET_FILE")]
-    pub callback_secret_file: Option<PathBuf>,
-
-    /// Where callbacks may go beside public addresses, separated by commas: hosts and addresses, each with a port or for all, which may be http
-    /// too, and networks as `10.0.0.0/8`.
-    #[arg(long, env = "VENTRICLE_CALLBACK_ALLOW", value_delimiter = ',')]
-    pub callback_allow: Vec<String>,
-
-    /// PEM file of the certificate authorities that receivers of callbacks are checked against.
-    #[arg(long, env = "VENTRICLE_CALLBACK_CA_FILE", default_value = "/etc/ssl/certs/ca-certificates.crt")]
-    pub callback_ca_file: PathBuf,
-
-    /// Where the structured report of every job that succeeds is sent: `https://host/dicom-web/studies` (STOW-RS), or
-    /// `dicom://TITLE@host:port` (C-STORE, unencrypted: only to hosts that `--callback-allow` names).
-    #[arg(long, env = "VENTRICLE_RESULTS_TO")]
-    pub results_to: Option<String>,
-
-    /// Value of the header Authorization that STOW-RS with results is sent with, as `Basic …` or `Bearer …`. Better in the environment or in a file
-    /// than on the command line.
-    #[arg(long, env = "VENTRICLE_RESULTS_AUTHORIZATION", hide_env_values = true)]
-    pub results_authorization: Option<Secret>,
-
-    /// File that holds that value, white space at its ends left out.
-    #[arg(long, env = "VENTRICLE_RESULTS_AUTHORIZATION_FILE")]
-    pub results_authorization_file: Option<PathBuf>,
-
-    /// Address and port to listen on for DICOM associations (C-STORE, C-ECHO); port 0 takes a free one and prints it. None by default.
-    #[arg(long, env = "VENTRICLE_DIMSE_LISTEN")]
-    pub dimse_listen: Option<SocketAddr>,
-
-    /// AE title of this service.
-    #[arg(long, env = "VENTRICLE_DIMSE_AE_TITLE", default_value = "VENTRICLE", value_parser = ae_title)]
-    pub dimse_ae_title: String,
-
-    /// Calling AE titles that may associate, separated by commas; any if none is named, which only a loopback address allows.
-    #[arg(long, env = "VENTRICLE_DIMSE_CALLING_AE", value_delimiter = ',', value_parser = ae_title)]
-    pub dimse_calling_ae: Vec<String>,
-
-    /// Confirms that only those callers reach the address of DICOM associations: needed for anything but a loopback address, since anybody can
-    /// give an AE title.
-    #[arg(long, env = "VENTRICLE_DIMSE_TRUSTED_NETWORK", value_parser = BoolishValueParser::new())]
-    pub dimse_trusted_network: bool,
-
-    /// Owner of the jobs that come by DICOM associations: who has a key or token of the same owner sees them.
-    #[arg(long, env = "VENTRICLE_DIMSE_OWNER", default_value = ANONYMOUS, value_parser = owner)]
-    pub dimse_owner: String,
-
-    /// DICOM associations at once; more are rejected for the moment.
-    #[arg(long, env = "VENTRICLE_DIMSE_MAX_ASSOCIATIONS", default_value = "8", value_parser = clap::value_parser!(u16).range(1..=256))]
-    pub dimse_max_associations: u16,
-
-    /// PEM file of the certificate with which DICOM associations are encrypted, and of the authorities between. Needs its key.
-    #[arg(long, env = "VENTRICLE_DIMSE_TLS_CERT")]
-    pub dimse_tls_cert: Option<PathBuf>,
-
-    /// PEM file of the key of that certificate, without a password.
-    #[arg(long, env = "VENTRICLE_DIMSE_TLS_KEY")]
-    pub dimse_tls_key: Option<PathBuf>,
+    /// How DICOM associations are taken.
+    #[command(flatten)]
+    pub dimse: DimseSettings,
 
     /// How HTTP is carried.
     #[command(flatten)]
@@ -206,29 +152,6 @@ pub struct ServeSettings {
     pub log: String,
 }
 
-/// A text that no log, message or debugging output shows.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Secret(String);
-
-impl Secret {
-    /// The text.
-    pub fn expose(&self) -> &str {
-        &self.0
-    }
-}
-
-impl From<&str> for Secret {
-    fn from(text: &str) -> Self {
-        Self(text.to_owned())
-    }
-}
-
-impl std::fmt::Debug for Secret {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Secret(…)")
-    }
-}
-
 /// Form of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum LogFormat {
@@ -249,103 +172,6 @@ pub enum Cors {
     Origins(Vec<String>),
 }
 
-/// Why the service does not start with the settings given.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ConfigError {
-    /// Who may come in.
-    #[error(transparent)]
-    Access(#[from] AccessError),
-    /// DICOM associations could come from outside.
-    #[error(
-        "{listen} is not a loopback address, and DICOM associations are not authenticated: whoever reaches it could send studies. Listen on \
-         127.0.0.1, or name the callers with --dimse-calling-ae (VENTRICLE_DIMSE_CALLING_AE) and confirm with --dimse-trusted-network \
-         (VENTRICLE_DIMSE_TRUSTED_NETWORK=true) that only they reach it: anybody can give an AE title."
-    )]
-    DimseExposed {
-        /// The address asked for.
-        listen: SocketAddr,
-    },
-    /// A certificate without its key, or the other way round.
-    #[error("DICOM associations are encrypted with a certificate and its key: give both --dimse-tls-cert and --dimse-tls-key, or neither.")]
-    DimseTls,
-    /// HTTP cannot be carried so.
-    #[error(transparent)]
-    Transport(#[from] TransportError),
-    /// A CORS origin that no browser sends.
-    #[error("`{origin}` is not an origin: write scheme, host and, if needed, port, as https://viewer.example.org, or * alone for any.")]
-    NotAnOrigin {
-        /// What was given.
-        origin: String,
-    },
-    /// A database address of another kind.
-    #[error("The database URL does not begin with postgres:// or postgresql://. Leave it out for the embedded database.")]
-    NotPostgres,
-    /// No single request could ever be accepted.
-    #[error("A body may have {body} MiB but all that waits only {queued} MiB: give at least as much to --max-queued-mb.")]
-    QueueSmallerThanBody {
-        /// Largest body in MiB.
-        body: u64,
-        /// Largest queue in MiB.
-        queued: u64,
-    },
-    /// What is kept by default is more than may be asked for.
-    #[error(
-        "Reconstructions would be kept for {retention} h, but a request may ask for {max} h at most: give at least as much to \
-         --max-retention-hours, or less to --retention-hours."
-    )]
-    RetentionOverCap {
-        /// Hours by default.
-        retention: u64,
-        /// Most hours by request.
-        max: u64,
-    },
-    /// Callbacks are wished for that could not be signed.
-    #[error(
-        "--callback-url (VENTRICLE_CALLBACK_URL) needs a secret to sign with: set --callback-secret-file, or VENTRICLE_CALLBACK_SECRET, to at \
-         least {LEAST_SECRET} random characters."
-    )]
-    CallbackWithoutSecret,
-    /// Two secrets for one purpose.
-    #[error("--{flag} is given twice, as a value and as a file: use either --{flag}-file or the environment.")]
-    SecretTwice {
-        /// The flag without `-file`.
-        flag: &'static str,
-    },
-    /// What cannot stand in a header.
-    #[error("The value of --results-authorization is empty or has characters other than printable ASCII; give `Basic …` or `Bearer …`.")]
-    NoHeaderValue,
-    /// What cannot stand in headers, or is not to.
-    #[error(
-        "The value of --otlp-headers is no list of headers as `Authorization=Bearer …,X-Team=7`: names of letters, digits and hyphens, other than \
-         those of the transport itself, values of printable ASCII."
-    )]
-    OtlpHeaders,
-    /// A secret that could be guessed.
-    #[error("The secret of callbacks has {length} characters; use at least {LEAST_SECRET} random ones, as `openssl rand -hex 32` prints.")]
-    CallbackSecretTooShort {
-        /// Its characters.
-        length: usize,
-    },
-    /// A secret that cannot be read.
-    #[error("The file of --{flag}-file, {}, cannot be read: {why}.", path.display())]
-    SecretFile {
-        /// The flag without `-file`.
-        flag: &'static str,
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        why: String,
-    },
-    /// Log directives that cannot be read.
-    #[error("`{directives}` does not say what to log: {why}.")]
-    LogDirectives {
-        /// What was given.
-        directives: String,
-        /// What is wrong with it.
-        why: String,
-    },
-}
-
 impl ServeSettings {
     /// Settings from flags alone, as `ventricle serve` would read them; for tests and for a service inside another command. The
     /// environment fills in what the flags leave out.
@@ -361,14 +187,7 @@ impl ServeSettings {
     /// Checks what no single setting can say.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.access.validate(self.listen, &self.data_dir)?;
-        if let Some(listen) = self.dimse_listen.filter(|listen| !listen.ip().is_loopback())
-            && (!self.dimse_trusted_network || self.dimse_calling_ae.is_empty())
-        {
-            return Err(ConfigError::DimseExposed { listen });
-        }
-        if self.dimse_tls_cert.is_some() != self.dimse_tls_key.is_some() {
-            return Err(ConfigError::DimseTls);
-        }
+        self.dimse.validate()?;
         self.transport.validate(self.max_body_mb)?;
         if let Some(origin) = self.cors_origin.iter().find(|origin| !is_origin(origin) && self.cors() != Cors::Any) {
             return Err(ConfigError::NotAnOrigin { origin: origin.clone() });
@@ -393,22 +212,6 @@ impl ServeSettings {
     /// Longest a request may ask for.
     pub fn longest_retention(&self) -> Duration {
         Duration::from_hours(self.max_retention_hours)
-    }
-
-    /// The secret that callbacks are signed with, if there is one; without it there are none.
-    pub fn callback_secret(&self) -> Result<Option<Secret>, ConfigError> {
-        let Some(secret) = secret("callback-secret", self.callback_secret.as_ref(), self.callback_secret_file.as_ref())? else {
-            return if self.callback_url.is_some() { Err(ConfigError::CallbackWithoutSecret) } else { Ok(None) };
-        };
-        let length = secret.expose().chars().count();
-        if length < LEAST_SECRET { Err(ConfigError::CallbackSecretTooShort { length }) } else { Ok(Some(secret)) }
-    }
-
-    /// What STOW-RS with results is authorised by, if anything; it can stand in a header.
-    pub fn results_authorization(&self) -> Result<Option<Secret>, ConfigError> {
-        let given = secret("results-authorization", self.results_authorization.as_ref(), self.results_authorization_file.as_ref())?;
-        let printable = |secret: &Secret| !secret.expose().is_empty() && secret.expose().bytes().all(|byte| (b' '..=b'~').contains(&byte));
-        if given.as_ref().is_some_and(|secret| !printable(secret)) { Err(ConfigError::NoHeaderValue) } else { Ok(given) }
     }
 
     /// Which web pages may call the service.
@@ -461,14 +264,6 @@ fn is_origin(text: &str) -> bool {
     host.is_some_and(|host| !host.is_empty() && !host.contains(['/', '?', '#', '*', ' ', '@']))
 }
 
-/// An AE title (PS3.5 table 6.2-1).
-fn ae_title(text: &str) -> Result<String, String> {
-    if is_ae_title(text) {
-        return Ok(text.to_owned());
-    }
-    Err("an AE title has 1 to 16 printable ASCII characters, no backslash and no space at its ends.".to_owned())
-}
-
 /// A name of an owner of jobs.
 pub fn owner(text: &str) -> Result<String, String> {
     if is_owner(text) {
@@ -484,18 +279,6 @@ fn node_name(text: &str) -> Result<String, String> {
         return Ok(text.to_owned());
     }
     Err("a node's name has 1 to 64 letters, digits and -_.".to_owned())
-}
-
-/// A secret given as it is or in a file.
-fn secret(flag: &'static str, given: Option<&Secret>, file: Option<&PathBuf>) -> Result<Option<Secret>, ConfigError> {
-    match (given, file) {
-        (Some(_), Some(_)) => Err(ConfigError::SecretTwice { flag }),
-        (given, None) => Ok(given.cloned()),
-        (None, Some(path)) => {
-            let unreadable = |error: std::io::Error| ConfigError::SecretFile { flag, path: path.clone(), why: error.to_string() };
-            Ok(Some(Secret(std::fs::read_to_string(path).map_err(unreadable)?.trim().to_owned())))
-        }
-    }
 }
 
 #[cfg(test)]
@@ -522,23 +305,6 @@ mod tests {
         assert!(error.to_string().contains("--insecure-no-auth"), "{error}");
         settings(&["--listen", "[::]:8080", "--insecure-no-auth"]).validate().unwrap();
         settings(&["--listen", "[::1]:8080"]).validate().unwrap();
-    }
-
-    #[test]
-    fn dicom_from_outside_needs_callers_and_an_acknowledgement() {
-        let open = ["--dimse-listen", "0.0.0.0:104"];
-        let (callers, proxy) = (["--dimse-calling-ae", "PACS,CAMERA 2"], ["--dimse-trusted-network"]);
-        for flags in [open.to_vec(), [&open[..], &callers].concat(), [&open[..], &proxy].concat()] {
-            assert!(matches!(settings(&flags).validate(), Err(ConfigError::DimseExposed { .. })), "{flags:?}");
-        }
-        let both = settings(&[&open[..], &callers, &proxy].concat());
-        both.validate().unwrap();
-        assert_eq!(both.dimse_calling_ae, ["PACS", "CAMERA 2"]);
-        settings(&["--dimse-listen", "[::1]:11112"]).validate().unwrap();
-        assert_eq!(settings(&["--dimse-tls-cert", "a.pem"]).validate(), Err(ConfigError::DimseTls));
-        for wrong in ["", "SEVENTEEN_LETTERS", "A\\B", " A"] {
-            assert!(ServeSettings::from_flags(["--dimse-ae-title", wrong]).is_err(), "{wrong}");
-        }
     }
 
     #[test]
@@ -581,40 +347,6 @@ mod tests {
         let settings = settings(&["--retention-hours", "0", "--max-retention-hours", "1"]);
         settings.validate().unwrap();
         assert_eq!((settings.retention(), settings.longest_retention()), (None, Duration::from_hours(1)));
-    }
-
-    #[test]
-    fn callbacks_need_one_secret_that_is_not_shown() {
-        assert_eq!(settings(&[]).callback_secret(), Ok(None));
-        let url = ["--callback-url", "https://a.example/?token=1"];
-        assert_eq!(settings(&url).callback_secret(), Err(ConfigError::CallbackWithoutSecret));
-        let given = settings(&["--callback-secret", "0123456789abcdef", url[0], url[1]]);
-        assert_eq!(given.callback_secret().unwrap().unwrap().expose(), "0123456789abcdef");
-        assert!(!format!("{given:?}").contains("0123456789abcdef") && !format!("{given:?}").contains("token"));
-        let short = settings(&["--callback-secret", "0123456789abcde"]).callback_secret().unwrap_err();
-        assert!(short.to_string().contains("at least 16") && !short.to_string().contains("0123"), "{short}");
-        let twice = settings(&["--callback-secret", "0123456789abcdef", "--callback-secret-file", "x"]);
-        assert_eq!(twice.callback_secret(), Err(ConfigError::SecretTwice { flag: "callback-secret" }));
-        let path = std::env::temp_dir().join(format!("ventricle-secret-{}", uuid::Uuid::now_v7()));
-        let from_file = settings(&["--callback-secret-file", path.to_str().unwrap()]);
-        assert!(matches!(from_file.callback_secret(), Err(ConfigError::SecretFile { .. })));
-        std::fs::write(&path, "  fedcba9876543210\n").unwrap();
-        assert_eq!(from_file.callback_secret().unwrap().unwrap().expose(), "fedcba9876543210");
-        std::fs::remove_file(&path).unwrap();
-    }
-
-    #[test]
-    fn results_are_authorised_by_what_a_header_can_hold() {
-        assert_eq!(settings(&[]).results_authorization(), Ok(None));
-        let given = settings(&["--results-authorization", "Bearer 0123"]);
-        assert_eq!(given.results_authorization().unwrap().unwrap().expose(), "Bearer 0123");
-        assert!(!format!("{given:?}").contains("0123"));
-        for wrong in ["", "Bearer a\nb", "Bearer \u{e9}"] {
-            let refused = settings(&["--results-authorization", wrong]).results_authorization();
-            assert_eq!(refused, Err(ConfigError::NoHeaderValue), "{wrong:?}");
-        }
-        let missing = settings(&["--results-authorization-file", "/no/such/file"]).results_authorization().unwrap_err().to_string();
-        assert!(missing.contains("--results-authorization-file, /no/such/file"), "{missing}");
     }
 
     #[test]

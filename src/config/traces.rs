@@ -1,6 +1,6 @@
 //! Settings of traces: whether they are told, to whom, and how many of them.
 
-use super::{ConfigError, Secret, secret};
+use super::{ConfigError, Secret, secret::secret};
 use clap::Args;
 use std::path::PathBuf;
 

@@ -9,12 +9,15 @@ use super::{
     peer::{Broken, Event, Peer, Stream},
 };
 use crate::{
-    assembly::{Refusal, Way},
+    access::Deed,
+    assembly::{Received, Refusal, Way},
     jobs::SubmitError,
 };
 use dicom_ul::pdu::{PDataValueType, Pdu};
+use jiff::Timestamp;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout_at};
+use uuid::Uuid;
 
 /// Longest silence of the other side.
 const IDLE_TIME: Duration = Duration::from_secs(30);
@@ -38,18 +41,33 @@ pub(super) enum Ending {
     Stopped,
 }
 
+/// What became of an object: the status, what is said about it, and the jobs that it made or had made before.
+struct Stored {
+    status: u16,
+    comment: Option<String>,
+    jobs: Vec<Uuid>,
+}
+
+impl Stored {
+    fn refused(status: u16, comment: Option<String>) -> Self {
+        Self { status, comment, jobs: Vec::new() }
+    }
+}
+
 /// An association, and what it did so far.
 pub(super) struct Association<'a, S> {
     shared: &'a Shared,
     peer: Peer<S>,
     contexts: Vec<Context>,
+    /// Who asked for it, from where.
+    asked: Deed,
     pub(super) stored: u64,
     pub(super) refused: u64,
 }
 
 impl<'a, S: Stream> Association<'a, S> {
-    pub(super) fn new(shared: &'a Shared, peer: Peer<S>, contexts: Vec<Context>) -> Self {
-        Self { shared, peer, contexts, stored: 0, refused: 0 }
+    pub(super) fn new(shared: &'a Shared, peer: Peer<S>, contexts: Vec<Context>, asked: Deed) -> Self {
+        Self { shared, peer, contexts, asked, stored: 0, refused: 0 }
     }
 
     /// Answers messages until the association ends; returns how it did, and how many objects it stored and had refused.
@@ -131,27 +149,31 @@ impl<'a, S: Stream> Association<'a, S> {
         self.respond(id, command, status, None).await
     }
 
-    /// C-STORE: receives the object and stores it, and answers only then.
+    /// C-STORE: receives the object, stores it and tells the audit log, and answers only then.
     async fn store(&mut self, context: &Context, request: &Command) -> Result<(), Broken> {
         if !request.has_data {
             return Err(Broken::Unexpected("C-STORE without a data set"));
         }
-        let (status, comment) = match self.admit(context, request) {
+        let at = Timestamp::now();
+        let Stored { status, comment, jobs } = match self.admit(context, request) {
             Err((status, comment)) => {
                 self.forget(context.id).await?;
-                (status, Some(comment.to_owned()))
+                Stored::refused(status, Some(comment.to_owned()))
             }
             Ok(object) => match self.receive(context.id, Some(object)).await? {
                 Ok(Some(object)) => self.commit(object).await,
-                Ok(None) => (command::OUT_OF_RESOURCES, None),
-                Err(no_room) => (command::OUT_OF_RESOURCES, Some(no_room.to_string())),
+                Ok(None) => Stored::refused(command::OUT_OF_RESOURCES, None),
+                Err(no_room) => Stored::refused(command::OUT_OF_RESOURCES, Some(no_room.to_string())),
             },
         };
-        if status == command::SUCCESS {
+        let refused = (status != command::SUCCESS).then(|| format!("{status:04X}"));
+        if refused.is_none() {
             self.stored += 1;
         } else {
             self.refused += 1;
         }
+        let owner = Some(self.shared.settings.owner.clone());
+        self.shared.tell(Deed { at, what: "C-STORE".to_owned(), status, owner, jobs, refused, ..self.asked.clone() }).await;
         metrics::counter!("ventricle_dimse_objects_total", "status" => format!("{status:04X}")).increment(1);
         self.respond(context.id, request, status, comment.as_deref()).await
     }
@@ -201,14 +223,15 @@ impl<'a, S: Stream> Association<'a, S> {
         timeout_at(end, receiving).await.unwrap_or(Err(Broken::Time(time)))
     }
 
-    /// Stores what was received; returns the status and what is said about it.
-    async fn commit(&self, object: Object) -> (u16, Option<String>) {
+    /// Stores what was received.
+    async fn commit(&self, object: Object) -> Stored {
         let mut reception = self.shared.assembler.reception(&self.shared.settings.owner, Way::Dimse, None);
         reception.take(object.whole()).await;
-        match reception.end().await.outcomes.into_iter().next().map(|outcome| outcome.result) {
-            Some(Ok(())) => (command::SUCCESS, None),
-            Some(Err(refusal)) => (refusal.status(), Some(comment(&refusal))),
-            None => (command::OUT_OF_RESOURCES, None),
+        let Received { outcomes, jobs } = reception.end().await;
+        match outcomes.into_iter().next().map(|outcome| outcome.result) {
+            Some(Ok(())) => Stored { status: command::SUCCESS, comment: None, jobs },
+            Some(Err(refusal)) => Stored::refused(refusal.status(), Some(comment(&refusal))),
+            None => Stored::refused(command::OUT_OF_RESOURCES, None),
         }
     }
 

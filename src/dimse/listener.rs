@@ -6,8 +6,13 @@ use super::{
     peer::{Broken, Peer, Stream},
     shown,
 };
-use crate::{assembly::Assembler, intake::TransferSyntax, tls::Acceptor};
-use dicom_ul::pdu::{AssociationRJ, Pdu};
+use crate::{
+    access::{Audit, Deed},
+    assembly::Assembler,
+    intake::TransferSyntax,
+    tls::Acceptor,
+};
+use dicom_ul::pdu::{AssociationRJ, AssociationRJResult, Pdu};
 use std::{sync::Arc, time::Duration};
 use tokio::{
     net::{TcpListener, TcpStream},
@@ -16,6 +21,8 @@ use tokio::{
     time::{sleep, timeout},
 };
 use tokio_util::sync::CancellationToken;
+use tracing::Instrument as _;
+use uuid::Uuid;
 
 /// Time for the request of an association, and before it for TLS (the ARTIM timer of PS3.8 9.1.5).
 const REQUEST_TIME: Duration = Duration::from_secs(10);
@@ -50,6 +57,7 @@ pub(super) struct Shared {
     pub(super) memory: object::Memory,
     pub(super) draining: CancellationToken,
     pub(super) closing: CancellationToken,
+    audit: Option<Audit>,
     places: Semaphore,
 }
 
@@ -60,8 +68,14 @@ pub struct Listener {
     task: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// Starts to accept associations on the current runtime. Once draining is cancelled they are rejected.
-pub fn start(listener: TcpListener, settings: Settings, assembler: Assembler, draining: CancellationToken) -> Listener {
+/// Starts to accept associations on the current runtime. Once draining is cancelled they are rejected. What is stored or rejected is told to the audit log.
+pub fn start(
+    listener: TcpListener,
+    settings: Settings,
+    assembler: Assembler,
+    audit: Option<Audit>,
+    draining: CancellationToken,
+) -> Listener {
     let closing = CancellationToken::new();
     let shared = Shared {
         memory: object::Memory::new(settings.object_bytes),
@@ -69,6 +83,7 @@ pub fn start(listener: TcpListener, settings: Settings, assembler: Assembler, dr
         closing: closing.clone(),
         settings,
         assembler,
+        audit,
         draining,
     };
     let task = tokio::spawn(accept(listener, Arc::new(shared)));
@@ -111,9 +126,12 @@ async fn accept(listener: TcpListener, shared: Arc<Shared>) {
         match accepted {
             // Without a word: who opens so many connections does not read.
             Ok(_) if connections.len() >= shared.settings.associations + OTHER_CONNECTIONS => count("rejected"),
-            Ok((stream, _)) => {
+            Ok((stream, from)) => {
                 let shared = Arc::clone(&shared);
-                connections.spawn(async move { shared.connection(stream).await });
+                let id = Uuid::now_v7().to_string();
+                let span = tracing::info_span!("association", request_id = %id);
+                let asked = Deed::asked("A-ASSOCIATE".to_owned(), from.ip(), id);
+                connections.spawn(async move { shared.connection(stream, asked).await }.instrument(span));
             }
             Err(error) => {
                 tracing::warn!(%error, "no DICOM connection could be accepted");
@@ -131,17 +149,17 @@ fn count(outcome: &'static str) {
 }
 
 impl Shared {
-    async fn connection(&self, stream: TcpStream) {
+    async fn connection(&self, stream: TcpStream, asked: Deed) {
         // Answers are small and waited for.
         let _ = stream.set_nodelay(true);
-        let Some(tls) = &self.settings.tls else { return self.serve(stream).await };
+        let Some(tls) = &self.settings.tls else { return self.serve(stream, asked).await };
         match timeout(REQUEST_TIME, tls.accept(stream)).await {
-            Ok(Ok(stream)) => self.serve(stream).await,
+            Ok(Ok(stream)) => self.serve(stream, asked).await,
             Ok(Err(_)) | Err(_) => count("failed"),
         }
     }
 
-    async fn serve(&self, stream: impl Stream) {
+    async fn serve(&self, stream: impl Stream, mut asked: Deed) {
         let mut peer = Peer::new(stream);
         let request = tokio::select! {
             request = peer.request(REQUEST_TIME) => request,
@@ -157,6 +175,7 @@ impl Shared {
             }
         };
         let caller = shown(&request.calling_ae_title);
+        asked.who = Some(caller.clone());
         let judged = if self.draining.is_cancelled() {
             Err(negotiate::stopping())
         } else {
@@ -165,13 +184,13 @@ impl Shared {
         let (accepted, _place) =
             match judged.and_then(|accepted| Ok((accepted, self.places.try_acquire().map_err(|_| negotiate::no_room())?))) {
                 Ok(accepted) => accepted,
-                Err(rejection) => return reject(peer, rejection, &caller).await,
+                Err(rejection) => return self.reject(peer, rejection, asked).await,
             };
         peer.limit(accepted.most_bytes);
         if peer.write(&Pdu::AssociationAC(accepted.answer)).await.is_err() {
             return count("lost");
         }
-        let (ending, stored, refused) = Association::new(self, peer, accepted.contexts).run().await;
+        let (ending, stored, refused) = Association::new(self, peer, accepted.contexts, asked).run().await;
         match ending {
             Ending::Released => {
                 tracing::info!(caller, stored, refused, "a DICOM association was released");
@@ -191,12 +210,25 @@ impl Shared {
             }
         }
     }
-}
 
-async fn reject<S: Stream>(mut peer: Peer<S>, rejection: AssociationRJ, caller: &str) {
-    tracing::info!(caller, reason = %rejection.source, "a DICOM association was rejected");
-    count("rejected");
-    if peer.write(&Pdu::AssociationRJ(rejection)).await.is_ok() {
-        peer.close().await;
+    async fn reject<S: Stream>(&self, mut peer: Peer<S>, rejection: AssociationRJ, asked: Deed) {
+        tracing::info!(caller = asked.who, reason = %rejection.source, "a DICOM association was rejected");
+        count("rejected");
+        // PS3.8 table 9-21.
+        let status = match rejection.result {
+            AssociationRJResult::Permanent => 1,
+            AssociationRJResult::Transient => 2,
+        };
+        self.tell(Deed { status, refused: Some(rejection.source.to_string()), ..asked }).await;
+        if peer.write(&Pdu::AssociationRJ(rejection)).await.is_ok() {
+            peer.close().await;
+        }
+    }
+
+    /// Tells the audit log, if there is one.
+    pub(super) async fn tell(&self, deed: Deed) {
+        if let Some(audit) = &self.audit {
+            audit.tell(deed).await;
+        }
     }
 }

@@ -128,22 +128,18 @@ impl Calling {
     }
 }
 
+/// Marks an answer with the jobs that it is about, beside the one of the path: what a request made, or compared with.
+#[derive(Debug, Clone)]
+pub(super) struct About(pub(super) Arc<[Uuid]>);
+
 /// Lets in who may come in, counts what is used, and tells the audit log.
 pub(super) async fn guard(State(state): State<AppState>, mut request: Request, next: Next) -> Response {
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let Needs::A(scope) = needs(request.method(), matched.as_deref()) else { return next.run(request).await };
     let address = request.extensions().get::<ClientAddress>().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |client| client.0);
-    let mut deed = Deed {
-        at: Timestamp::now(),
-        what: format!("{} {}", request.method(), matched.unwrap_or_default()),
-        status: 0,
-        owner: None,
-        who: None,
-        address,
-        job: job_of(request.uri().path()),
-        refused: None,
-        request_id: request.extensions().get::<layers::RequestId>().map(|id| id.0.clone()).unwrap_or_default(),
-    };
+    let request_id = request.extensions().get::<layers::RequestId>().map(|id| id.0.clone()).unwrap_or_default();
+    let mut deed = Deed::asked(format!("{} {}", request.method(), matched.unwrap_or_default()), address, request_id);
+    deed.jobs.extend(job_of(request.uri().path()));
     let admitted = admit(&state, request.method(), request.headers(), scope, address, &mut deed).await;
     let response = match admitted {
         Ok((caller, left)) => {
@@ -172,8 +168,7 @@ pub(super) async fn guard(State(state): State<AppState>, mut request: Request, n
     if let Some(audit) = state.audit.as_ref().filter(|_| response.status() != StatusCode::NOT_MODIFIED) {
         deed.status = response.status().as_u16();
         deed.refused = response.extensions().get::<Problem>().map(|problem| problem.code.clone());
-        let made = response.headers().get(header::LOCATION).and_then(|location| location.to_str().ok()).and_then(job_of);
-        deed.job = deed.job.or(made);
+        deed.jobs.extend(response.extensions().get::<About>().iter().flat_map(|about| about.0.iter()));
         audit.tell(deed).await;
     }
     response

@@ -33,10 +33,13 @@ pub(super) fn access(settings: &ServeSettings) -> Result<Access, ServeError> {
 
 /// Fetches from a provider that the operator names: it may be in the hospital's own network.
 fn fetch<'a>(settings: &ServeSettings, urls: impl Iterator<Item = &'a str>) -> Result<Fetch, ServeError> {
-    let allowed = Allowed::parse(settings.callback_allow.iter().map(String::as_str))?;
+    let allowed = Allowed::parse(settings.outward.callback_allow.iter().map(String::as_str))?;
     let allowed = Arc::new(allowed.with_hosts_of(urls));
-    let sender =
-        if settings.access.fetches_securely() { Sender::new(allowed, &settings.callback_ca_file)? } else { Sender::without_tls(allowed) };
+    let sender = if settings.access.fetches_securely() {
+        Sender::new(allowed, &settings.outward.callback_ca_file)?
+    } else {
+        Sender::without_tls(allowed)
+    };
     Ok(Arc::new(move |url| {
         let sender = sender.clone();
         Box::pin(async move { sender.fetch(&url, MOST_BYTES).await })

@@ -2,7 +2,7 @@
 
 use super::{
     AppState,
-    access::Calling,
+    access::{About, Calling},
     archived::stored_report,
     extract::{Id, Query},
     negotiate,
@@ -19,6 +19,7 @@ use axum::{
     response::Response,
 };
 use serde::Deserialize;
+use std::sync::Arc;
 use utoipa::IntoParams;
 use uuid::Uuid;
 
@@ -77,7 +78,9 @@ pub(super) async fn comparison(
         tracing::error!(%error, "a comparison could not be written");
         Problem::internal()
     })?;
-    Ok(send(&headers, Blob::new(JSON, body)))
+    let mut response = send(&headers, Blob::new(JSON, body));
+    response.extensions_mut().insert(About(Arc::new([with])));
+    Ok(response)
 }
 
 /// Says which of the two a problem is about.

@@ -6,7 +6,7 @@
 
 use super::{
     AppState,
-    access::Calling,
+    access::{About, Calling},
     body::{self, Arriving, BodyError},
     extract::StudyUid,
     layers::Told,
@@ -254,5 +254,5 @@ fn answer(received: Received) -> Result<Response, Problem> {
         head.extend(HeaderValue::from_str(&link).ok().map(|link| (header::LINK, link)));
     }
     let body = serde_json::to_vec(&StoreInstancesResponse::new(&outcomes)).unwrap_or_default();
-    Ok((status, head, Extension(Told), body).into_response())
+    Ok((status, head, Extension(Told), Extension(About(jobs.into())), body).into_response())
 }

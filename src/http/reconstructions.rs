@@ -2,7 +2,7 @@
 
 use super::{
     AppState,
-    access::Calling,
+    access::{About, Calling},
     body::{self, Upload, merged_parameters},
     extract::{Id, Query},
     negotiate,
@@ -27,6 +27,7 @@ use axum::{
 use serde::Deserialize;
 use std::{
     collections::BTreeMap,
+    sync::Arc,
     time::{Duration, Instant},
 };
 use utoipa::IntoParams;
@@ -228,6 +229,7 @@ pub(super) fn located(status: StatusCode, job: &Job) -> Response {
     if let Ok(path) = HeaderValue::from_str(&views::path(job)) {
         response.headers_mut().insert(header::LOCATION, path);
     }
+    response.extensions_mut().insert(About(Arc::new([job.id])));
     response
 }
 

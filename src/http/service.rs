@@ -173,7 +173,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let listener = bind(settings.listen).await?;
     let address = listener.local_addr()?;
     let encryption = Encryption::open(settings)?;
-    let dimse_listener = match settings.dimse_listen {
+    let dimse_listener = match settings.dimse.listen {
         Some(address) => Some(bind(address).await?),
         None => None,
     };
@@ -197,7 +197,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let dimse = dimse_listener.map(|listener| {
         let settings = dimse_settings(settings, intake::transfer_syntaxes(&state.limits), encryption.dimse.clone());
-        dimse::start(listener, settings, state.assembler(), draining.clone())
+        dimse::start(listener, settings, state.assembler(), audit.clone(), draining.clone())
     });
     let accepted = listener_settings(settings, encryption.http.clone());
     let listener = tokio::spawn(listener::serve(listener, router(state), accepted, closing.clone()));
@@ -230,10 +230,10 @@ pub async fn serve(settings: ServeSettings) -> Result<(), ServeError> {
     // Before the first job: a signal during the start must not end the process half way.
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
     // With neither, the end of a terminal ends the service, as it does any program.
-    let reloads = settings.transport.tls().is_some() || settings.dimse_tls_cert.is_some() || settings.access.audit_log.is_some();
+    let reloads = settings.transport.tls().is_some() || settings.dimse.tls().is_some() || settings.access.audit_log.is_some();
     let mut hangup = reloads.then(|| signal(SignalKind::hangup())).transpose()?;
     let running = start(&settings, worker_settings(&settings)).await?;
-    let dimse = running.dimse_address().map(|address| format!("\nlistens on dicom://{}@{address}", settings.dimse_ae_title));
+    let dimse = running.dimse_address().map(|address| format!("\nlistens on dicom://{}@{address}", settings.dimse.ae_title));
     println!("ventricle {} listens on {}{}", env!("CARGO_PKG_VERSION"), running.url(), dimse.unwrap_or_default());
     loop {
         tokio::select! {
@@ -273,7 +273,7 @@ fn store_settings(settings: &ServeSettings) -> StoreSettings {
         lease: settings.lease(),
         connections: settings.database_connections,
         retention: settings.retention(),
-        results_to: settings.results_to.clone(),
+        results_to: settings.outward.results_to.clone(),
         ..StoreSettings::default()
     }
 }
@@ -287,27 +287,27 @@ struct Outward {
 }
 
 fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
-    let secret = settings.callback_secret()?;
-    let allowed = Arc::new(Allowed::parse(settings.callback_allow.iter().map(String::as_str))?);
-    let destination = settings.results_to.as_deref().map(|text| Destination::parse(text, &allowed)).transpose()?;
+    let secret = settings.outward.callback_secret()?;
+    let allowed = Arc::new(Allowed::parse(settings.outward.callback_allow.iter().map(String::as_str))?);
+    let destination = settings.outward.results_to.as_deref().map(|text| Destination::parse(text, &allowed)).transpose()?;
     if secret.is_none() && destination.is_none() {
         return Ok(Outward { rules: None, deliveries: None });
     }
     let sender = match (&secret, &destination) {
         (None, Some(Destination::Store { .. })) => Sender::without_tls(Arc::clone(&allowed)),
-        _ => Sender::new(Arc::clone(&allowed), &settings.callback_ca_file)?,
+        _ => Sender::new(Arc::clone(&allowed), &settings.outward.callback_ca_file)?,
     };
     let mut rules = None;
     let mut callbacks: Option<(Signer, callbacks::Body)> = None;
     if let Some(secret) = secret {
         let mut own = Rules { allowed, default_url: None };
-        own.default_url = own.url(settings.callback_url.as_ref().map(|url| url.expose().to_owned()))?;
+        own.default_url = own.url(settings.outward.callback_url.as_ref().map(|url| url.expose().to_owned()))?;
         rules = Some(own);
         callbacks = Some((Signer::new(secret.expose()).map_err(io::Error::other)?, Arc::new(views::callback_body)));
     }
     let document: Document = Arc::new(|store, id| Box::pin(async move { archived::document(&store, id).await }));
-    let calling = dimse::Title::parse(&settings.dimse_ae_title).ok_or_else(|| io::Error::other("the AE title is none"))?;
-    let authorization = settings.results_authorization()?.map(|secret| secret.expose().to_owned());
+    let calling = dimse::Title::parse(&settings.dimse.ae_title).ok_or_else(|| io::Error::other("the AE title is none"))?;
+    let authorization = settings.outward.results_authorization()?.map(|secret| secret.expose().to_owned());
     let results = destination.map(|_| Results { document, calling, authorization });
     Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
 }
@@ -323,8 +323,7 @@ impl Encryption {
         let open = |purpose, files: Option<(&PathBuf, &PathBuf)>| {
             files.map(|(certificates, key)| Acceptor::open(purpose, certificates, key).map(Arc::new)).transpose()
         };
-        let dimse = settings.dimse_tls_cert.as_ref().zip(settings.dimse_tls_key.as_ref());
-        Ok(Self { http: open(Purpose::Http, settings.transport.tls())?, dimse: open(Purpose::Dimse, dimse)? })
+        Ok(Self { http: open(Purpose::Http, settings.transport.tls())?, dimse: open(Purpose::Dimse, settings.dimse.tls())? })
     }
 }
 
@@ -359,10 +358,10 @@ fn listener_settings(settings: &ServeSettings, tls: Option<Arc<Acceptor>>) -> li
 /// How a service with these settings takes DICOM associations.
 fn dimse_settings(settings: &ServeSettings, transfer_syntaxes: Vec<intake::TransferSyntax>, tls: Option<Arc<Acceptor>>) -> dimse::Settings {
     dimse::Settings {
-        callers: settings.dimse_calling_ae.clone(),
-        owner: settings.dimse_owner.clone(),
+        callers: settings.dimse.calling_ae.clone(),
+        owner: settings.dimse.owner.clone(),
         transfer_syntaxes,
-        associations: settings.dimse_max_associations.into(),
+        associations: settings.dimse.max_associations.into(),
         object_bytes: settings.max_body_bytes() as usize,
         object_time: Duration::from_secs(settings.upload_seconds),
         tls,

@@ -19,10 +19,10 @@ const TRACEPARENT: HeaderName = HeaderName::from_static("traceparent");
 pub(super) fn start(settings: &ServeSettings) -> Result<Traces, ServeError> {
     let Some(url) = settings.traces.url() else { return Ok(Traces::default()) };
     let headers: Arc<[(String, String)]> = settings.traces.headers()?.into();
-    let allowed = Allowed::parse(settings.callback_allow.iter().map(String::as_str))?.with_hosts_of([url.as_str()]);
+    let allowed = Allowed::parse(settings.outward.callback_allow.iter().map(String::as_str))?.with_hosts_of([url.as_str()]);
     let target = Target::parse(&url, &allowed).map_err(ServeError::OtlpEndpoint)?;
     let allowed = Arc::new(allowed);
-    let sender = if target.secure() { Sender::new(allowed, &settings.callback_ca_file)? } else { Sender::without_tls(allowed) };
+    let sender = if target.secure() { Sender::new(allowed, &settings.outward.callback_ca_file)? } else { Sender::without_tls(allowed) };
     let url: Arc<str> = url.into();
     let deliver = Deliver::new(move |body| {
         let (sender, url, headers) = (sender.clone(), Arc::clone(&url), Arc::clone(&headers));

@@ -2,7 +2,7 @@
 
 use crate::{
     parted::{self, GATES, SLICES},
-    served::{Answer, Directory, Served},
+    served::{Answer, Directory, Served, audited},
 };
 use dicom_core::VR;
 use dicom_dictionary_std::tags;
@@ -180,7 +180,8 @@ fn parts_that_make_no_study_are_a_failed_job_until_the_rest_comes() {
 #[test]
 fn rest_and_stress_and_ungated_beside_gated_are_jobs_of_their_own() {
     let data = Directory::new("stow");
-    let service = Served::start(&data.0, &FLAGS);
+    let log = data.0.join("audit.jsonl");
+    let service = Served::start(&data.0, &[&FLAGS[..], &["--audit-log", log.to_str().unwrap()]].concat());
     let rest = parted::whole(4);
     let uid = parted::text_of(&rest, tags::STUDY_INSTANCE_UID);
     let of_study = |bytes: Vec<u8>| parted::with(&bytes, &[(tags::STUDY_INSTANCE_UID, VR::UI, &uid)]);
@@ -188,6 +189,9 @@ fn rest_and_stress_and_ungated_beside_gated_are_jobs_of_their_own() {
     let answer = store(&service, &[rest, ungated, stress]);
     assert_eq!((answer.status, instances(&answer, "00081199").len()), (200, 3));
     let jobs = finished(&service, &uid, 3);
+    let told = audited(&log, 1)[0]["jobs"].clone();
+    let told: BTreeSet<&str> = told.as_array().unwrap().iter().map(|id| id.as_str().unwrap()).collect();
+    assert_eq!(told, jobs.iter().map(|job| job["id"].as_str().unwrap()).collect(), "the line of the request has all that it made");
     let mut gates: Vec<u64> = jobs.iter().map(|job| job["progress"]["gates_total"].as_u64().unwrap()).collect();
     gates.sort_unstable();
     assert_eq!(gates, [1, GATES as u64, GATES as u64]);

@@ -4,11 +4,12 @@ mod hostile;
 
 use crate::{
     parted,
-    served::{Directory, Served},
+    served::{Directory, Served, audited},
     shared,
 };
+use dicom_core::VR;
 use dicom_dictionary_std::tags;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::{
     net::TcpListener,
     path::{Path, PathBuf},
@@ -183,6 +184,37 @@ fn who_is_not_on_the_list_is_rejected() {
     assert!(content, "{said}");
     let metrics = String::from_utf8(service.get("/metrics").body).unwrap();
     assert!(metrics.contains("ventricle_dimse_associations_total{outcome=\"rejected\"} 1"), "{metrics}");
+}
+
+#[test]
+fn the_audit_log_tells_who_stored_what_from_where_and_who_was_rejected() {
+    if !has_dcmtk() {
+        return;
+    }
+    let (data, files) = (Directory::new("dimse-audit"), Directory::new("dimse-audit-files"));
+    let (audit, log) = (data.0.join("audit.jsonl"), data.0.join("log"));
+    let flags = ["--dimse-listen", "127.0.0.1:0", "--dimse-calling-ae", "CAMERA", "--dimse-owner", "ours"];
+    let service = Served::start_logging(&data.0, &log, &[&flags[..], &["--audit-log", audit.to_str().unwrap()]].concat());
+    let part = write(&files.0, "part.dcm", &parted::gates(&parted::whole(1))[0]);
+    let study = write(&files.0, "study.dcm", &parted::ungated(2));
+    let projections = parted::with(&parted::whole(3), &[(tags::IMAGE_TYPE, VR::CS, "ORIGINAL\\PRIMARY\\TOMO\\EMISSION")]);
+    let none = parted::without(&projections, &[tags::SLICE_VECTOR, tags::FRAME_INCREMENT_POINTER]);
+    dcmtk("storescu", &service, &["-nh", "-aet", "CAMERA"], &[part, study, write(&files.0, "none.dcm", &none)]);
+    dcmtk("echoscu", &service, &["-aet", "ELSEWHERE"], &[]);
+    let [job] = jobs(&service).try_into().unwrap();
+    // The last is the look at the jobs.
+    let told = audited(&audit, 5);
+    let of = |field: &str| told[..4].iter().map(|line| line[field].clone()).collect::<Vec<Value>>();
+    assert_eq!(of("what"), ["C-STORE", "C-STORE", "C-STORE", "A-ASSOCIATE"]);
+    assert_eq!(of("who"), ["CAMERA", "CAMERA", "CAMERA", "ELSEWHERE"]);
+    assert_eq!(of("owner"), [json!("ours"), json!("ours"), json!("ours"), Value::Null]);
+    assert_eq!(of("address"), vec!["127.0.0.1"; 4]);
+    assert_eq!(of("status"), [0, 0, 0xA900, 1]);
+    assert_eq!(of("refused"), [Value::Null, Value::Null, json!("A900"), json!("calling AE title not recognized")]);
+    assert_eq!(of("jobs"), [Value::Null, json!([job["id"]]), Value::Null, Value::Null], "a part makes none");
+    let ids = of("request_id");
+    assert!(ids[0] == ids[1] && ids[1] == ids[2] && ids[2] != ids[3], "one an association: {ids:?}");
+    assert!(std::fs::read_to_string(&log).unwrap().contains(ids[0].as_str().unwrap()), "the other log has it too");
 }
 
 #[test]

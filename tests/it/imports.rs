@@ -177,7 +177,7 @@ const RULES: &[Rule] = &[
     // It is given its connections: who may be connected to is decided in `callbacks`.
     Rule {
         module: "dimse",
-        crate_modules: &["assembly", "elements", "intake", "jobs", "tls"],
+        crate_modules: &["access", "assembly", "elements", "intake", "jobs", "tls"],
         external: External::AllBut(&[
             "axum",
             "clap",

@@ -1,7 +1,7 @@
 //! Keys as an operator has them: made and revoked by `ventricle keys` while a real service runs, with its audit log.
 
-use crate::served::{Answer, Directory, Served, answer};
-use serde_json::Value;
+use crate::served::{Answer, Directory, Served, answer, audited};
+use serde_json::{Value, json};
 use std::{
     fs,
     path::Path,
@@ -111,23 +111,11 @@ fn the_audit_log_tells_who_did_what_with_which_job_and_is_opened_anew_on_sighup(
     let path = format!("/v1/reconstructions/{job}");
     ask(&service, "GET", &path, &key);
     assert_eq!(service.get(&format!("{path}/report")).status, 401);
-    let lines = |expected: usize| -> Vec<Value> {
-        let start = Instant::now();
-        loop {
-            let text = fs::read_to_string(&log).unwrap();
-            let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-            if lines.len() >= expected {
-                return lines;
-            }
-            assert!(start.elapsed() < SOON, "{text}");
-            std::thread::sleep(Duration::from_millis(50));
-        }
-    };
-    let told = lines(3);
+    let told = audited(&log, 3);
     let of = |line: &Value, field: &str| line[field].as_str().unwrap_or_default().to_owned();
     assert_eq!((of(&told[0], "what"), told[0]["status"].as_u64()), ("POST /v1/reconstructions".to_owned(), Some(202)));
-    assert_eq!((of(&told[0], "who"), of(&told[0], "owner"), of(&told[0], "job")), (id, "ours".to_owned(), job.clone()));
-    assert_eq!((of(&told[1], "what"), of(&told[1], "job")), ("GET /v1/reconstructions/{id}".to_owned(), job.clone()));
+    assert_eq!((of(&told[0], "who"), of(&told[0], "owner"), &told[0]["jobs"]), (id, "ours".to_owned(), &json!([job])));
+    assert_eq!((of(&told[1], "what"), &told[1]["jobs"]), ("GET /v1/reconstructions/{id}".to_owned(), &json!([job])));
     assert_eq!((told[2]["status"].as_u64(), of(&told[2], "refused")), (Some(401), "credentials_missing".to_owned()));
     assert!(told[2]["who"].is_null() && of(&told[2], "address") == "127.0.0.1" && !of(&told[2], "request_id").is_empty(), "{}", told[2]);
     assert!(told.iter().all(|line| of(line, "at").ends_with('Z')));
@@ -140,7 +128,7 @@ fn the_audit_log_tells_who_did_what_with_which_job_and_is_opened_anew_on_sighup(
         std::thread::sleep(Duration::from_millis(50));
     }
     ask(&service, "DELETE", &path, &key);
-    let told = lines(1);
-    assert_eq!((of(&told[0], "what"), of(&told[0], "job")), ("DELETE /v1/reconstructions/{id}".to_owned(), job));
+    let told = audited(&log, 1);
+    assert_eq!((of(&told[0], "what"), &told[0]["jobs"]), ("DELETE /v1/reconstructions/{id}".to_owned(), &json!([job])));
     assert_eq!(fs::read_to_string(moved).unwrap().lines().count(), 3);
 }

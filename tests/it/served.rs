@@ -200,6 +200,20 @@ impl Drop for Served {
     }
 }
 
+/// What an audit log says, once it has so many lines.
+pub(crate) fn audited(log: &Path, lines: usize) -> Vec<Value> {
+    let start = Instant::now();
+    loop {
+        let text = std::fs::read_to_string(log).unwrap();
+        let told: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        if told.len() >= lines {
+            return told;
+        }
+        assert!(start.elapsed() < Duration::from_secs(10), "{text}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
 pub(crate) fn answer(response: ureq::http::Response<ureq::Body>) -> Answer {
     try_answer(response).unwrap()
 }
