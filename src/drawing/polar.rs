@@ -37,40 +37,41 @@ fn around((rings, sectors): (usize, usize), radius: f64, degrees: f64) -> Around
     [a, b, c, d]
 }
 
-/// Where a disc's cells lie in a square picture, to draw several quantities on.
+/// The pixels of a disc of so many rings and sectors in the middle of a square picture, with this radius in pixels: offset, and the cells around it.
+fn places(cells: (usize, usize), pixels: usize, radius: f64) -> impl Iterator<Item = (usize, Around)> {
+    let middle = (pixels as f64 - 1.0) / 2.0;
+    let place = move |offset: usize| {
+        let (right, up) = (((offset % pixels) as f64 - middle) / radius, (middle - (offset / pixels) as f64) / radius);
+        let distance = right.hypot(up);
+        // A little beyond the rim, which is drawn over.
+        let within = distance * radius <= radius + 1.0;
+        within.then(|| (offset, around(cells, distance.min(1.0), (-right).atan2(up).to_degrees())))
+    };
+    let all = if cells.0 * cells.1 == 0 { 0 } else { pixels * pixels };
+    (0..all).filter_map(place)
+}
+
+/// Where a disc's cells lie in a square picture, to draw several quantities on: for one it is more to keep than to find.
 pub struct Disc {
     pixels: usize,
     cells: (usize, usize),
-    /// Offset of a pixel, and the cells around it.
     places: Vec<(usize, Around)>,
 }
 
 impl Disc {
     /// A disc of so many rings and sectors in the middle of a picture of so many pixels, with this radius in pixels.
     pub fn new(cells: (usize, usize), pixels: usize, radius: f64) -> Self {
-        let middle = (pixels as f64 - 1.0) / 2.0;
-        let place = |offset: usize| {
-            let (right, up) = (((offset % pixels) as f64 - middle) / radius, (middle - (offset / pixels) as f64) / radius);
-            let distance = right.hypot(up);
-            // A little beyond the rim, which is drawn over.
-            let within = distance * radius <= radius + 1.0;
-            within.then(|| (offset, around(cells, distance.min(1.0), (-right).atan2(up).to_degrees())))
-        };
-        let places = if cells.0 * cells.1 == 0 { Vec::new() } else { (0..pixels * pixels).filter_map(place).collect() };
-        Self { pixels, cells, places }
+        // Not fewer than are within, so that it is allocated once.
+        let most = (std::f64::consts::PI * (radius + 2.0).powi(2)) as usize;
+        let mut within = Vec::with_capacity(most.min(pixels * pixels));
+        within.extend(places(cells, pixels, radius));
+        Self { pixels, cells, places: within }
     }
 
     /// A field of as many rings and sectors, `outside` beyond the disc.
     pub fn picture(&self, field: &PolarField<'_>, outside: [f32; 3]) -> Picture {
         debug_assert_eq!(self.cells, field.cells(), "a disc is of fields of its own size");
-        let cells: Vec<_> = field.values.iter().flatten().map(|&value| field.vector(value)).collect();
-        let colours = field.scale.levels();
-        let mut picture = Picture::of_colour(self.pixels, self.pixels, outside);
-        for (offset, around) in &self.places {
-            let colour = field.between(&cells, around).map_or(NEUTRAL, |value| colours[field.scale.level(field.part(value))]);
-            picture.set(offset % self.pixels, offset / self.pixels, colour);
-        }
-        picture
+        field.painted(self.places.iter().copied(), self.pixels, outside)
     }
 }
 
@@ -126,7 +127,18 @@ impl PolarField<'_> {
 
     /// A square picture of so many pixels, the disc in its middle with this radius in pixels, `outside` beyond it.
     pub fn picture(&self, pixels: usize, radius: f64, outside: [f32; 3]) -> Picture {
-        Disc::new(self.cells(), pixels, radius).picture(self, outside)
+        self.painted(places(self.cells(), pixels, radius), pixels, outside)
+    }
+
+    fn painted(&self, places: impl Iterator<Item = (usize, Around)>, pixels: usize, outside: [f32; 3]) -> Picture {
+        let cells: Vec<_> = self.values.iter().flatten().map(|&value| self.vector(value)).collect();
+        let colours = self.scale.levels();
+        let mut picture = Picture::of_colour(pixels, pixels, outside);
+        for (offset, around) in places {
+            let colour = self.between(&cells, &around).map_or(NEUTRAL, |value| colours[self.scale.level(self.part(value))]);
+            picture.set(offset % pixels, offset / pixels, colour);
+        }
+        picture
     }
 }
 

@@ -5,15 +5,20 @@
 //! square of the processors.
 
 use super::priority;
+use crate::pipeline;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use std::{
     any::Any,
     io,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::mpsc,
+    sync::mpsc::{self, RecvTimeoutError},
     thread,
+    time::Duration,
 };
 use tokio::sync::oneshot;
+
+/// Without a task for so long, memory is given back: a little sooner than the process gives to the system what is free in it.
+const KEEPS: Duration = Duration::from_secs(20);
 
 type Task = Box<dyn FnOnce() + Send>;
 
@@ -37,7 +42,7 @@ impl ComputeThread {
                 Err(error) => return drop(started.send(Err(error))),
             };
             drop(started.send(Ok(())));
-            while let Ok((threads, task)) = received.recv() {
+            while let Some((threads, task)) = next(&received, &single) {
                 match (threads > 1).then(|| pool(&pool_name, threads)) {
                     Some(Ok(pool)) => pool.install(task),
                     None => single.install(task),
@@ -67,6 +72,18 @@ impl ComputeThread {
         // Should the thread be gone, the answer's sender goes with the task and the receiver says so.
         drop(self.tasks.send((threads, task)));
         answered
+    }
+}
+
+/// Waits for the next task. When there has been none for a while, the pool gives back the memory that its thread keeps between studies.
+fn next(received: &mpsc::Receiver<(usize, Task)>, single: &ThreadPool) -> Option<(usize, Task)> {
+    match received.recv_timeout(KEEPS) {
+        Ok(next) => Some(next),
+        Err(RecvTimeoutError::Timeout) => {
+            single.broadcast(|_| pipeline::forget());
+            received.recv().ok()
+        }
+        Err(RecvTimeoutError::Disconnected) => None,
     }
 }
 

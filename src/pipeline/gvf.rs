@@ -114,11 +114,17 @@ pub fn unit_mu(paper_mu: f64) -> f64 {
     paper_mu / (PAPER_GREY_LEVELS * PAPER_GREY_LEVELS)
 }
 
+thread_local! {
+    static KEPT: Cell<Workspace> = Cell::default();
+}
+
+/// Gives back the workspace of this thread.
+pub(super) fn forget() {
+    drop(KEPT.take());
+}
+
 /// Solves for the flow of a border around it. Each thread keeps a workspace for the next border.
 pub fn flow(grid: &Grid, border: &Border, parameters: &GvfParameters, monitor: &dyn Monitor) -> Result<Flow, PipelineError> {
-    thread_local! {
-        static KEPT: Cell<Workspace> = Cell::default();
-    }
     let window = Window::around(border, grid);
     let map = edge_map(&window, border);
     let mut workspace = KEPT.take();

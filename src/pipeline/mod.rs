@@ -45,6 +45,12 @@ use parameters::{Parameters, Preset};
 use pose::Pose;
 use serde::{Deserialize, Serialize};
 
+/// Gives back the memory that the calling thread keeps from one study to the next.
+pub fn forget() {
+    gvf::forget();
+    clinical::forget();
+}
+
 /// The two surfaces of the ventricular wall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -100,14 +100,12 @@ pub(super) fn gather(study: &Study, space: &Space, rays: &[Rays], sigma_mm: f64)
     let known = (0..crop.voxels())
         .map(|voxel| members(voxel).all(|member| study.gates.iter().any(|gate| gate.volume.counts[member] > 0.0)))
         .collect();
-    let places = crop
-        .centres_mm()
-        .map(|centre| {
-            let local = frame.local(centre);
-            let (s, phi, r) = frame.bullet(local);
-            VoxelPlace { spot: space.basis.at(s, &Angle::new(phi)), r, z: local.z }
-        })
-        .collect();
+    let mut places = Vec::with_capacity(crop.voxels());
+    places.extend(crop.centres_mm().map(|centre| {
+        let local = frame.local(centre);
+        let (s, phi, r) = frame.bullet(local);
+        VoxelPlace { spot: space.basis.at(s, &Angle::new(phi)), r, z: local.z }
+    }));
     let unit: Vec<f64> = totals.iter().map(|total| wall * total / mean.max(f64::MIN_POSITIVE)).collect();
     let noise = unit.iter().map(|unit| 1.0 / (unit * size).max(f64::MIN_POSITIVE)).collect();
     Counts { crop, space: *space, gates, known, places, noise, unit }

@@ -9,7 +9,7 @@ use super::{
     shape::STRIDE,
 };
 use crate::pipeline::simd::vectorised;
-use std::sync::{Mutex, PoisonError};
+use std::cell::RefCell;
 
 /// Values are added so many at a time: a node's end with zeros, and so does every buffer they are added to.
 pub(super) const STEP: usize = 8;
@@ -48,7 +48,7 @@ pub(super) struct Derived<'a> {
     pub(super) at: &'a Compared,
 }
 
-/// An image and its derivatives, and what they are collected in. Kept from one exposure to the next, so that memory is asked for once.
+/// An image and its derivatives, and what they are collected in.
 #[derive(Default)]
 pub(super) struct Film {
     /// `[voxels]`; where there are derivatives only the voxels compared have values.
@@ -83,6 +83,16 @@ struct Exposed {
 }
 
 impl Film {
+    /// Bytes that it has grown to.
+    fn bytes(&self) -> usize {
+        let Self { image, jacobian, of_surface, of_wall, excess, cavity, lit, rings, exposed } = self;
+        let floats = [image, jacobian, of_surface, of_wall, excess, cavity].map(Vec::capacity).iter().sum::<usize>();
+        floats * size_of::<f32>()
+            + lit.capacity() * size_of::<[f32; 2]>()
+            + rings.capacity() * size_of::<Ring>()
+            + exposed.capacity() * size_of::<Exposed>()
+    }
+
     /// Makes it ready for the next exposure of so many voxels.
     pub(super) fn clear(&mut self, voxels: usize, derived: Option<Derived<'_>>) {
         if let Some(Derived { columns, at }) = derived {
@@ -149,19 +159,27 @@ impl Film {
 /// Voxels whose derivatives are collected at once: they stay in the nearest cache.
 const CHUNK: usize = 32;
 
-/// Films that are not in use: as many are made as threads expose at once.
-#[derive(Default)]
-pub(super) struct Films(Mutex<Vec<Film>>);
+/// A larger film is made anew every time, in bytes: several times that of a usual study.
+const MOST_KEPT: usize = 64 << 20;
 
-impl Films {
-    /// Lends one.
-    pub(super) fn with<T>(&self, work: impl FnOnce(&mut Film) -> T) -> T {
-        let unused = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut film = unused().pop().unwrap_or_default();
-        let result = work(&mut film);
-        unused().push(film);
-        result
+thread_local! {
+    /// Films that are not in use.
+    static UNUSED: RefCell<Vec<Film>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Lends a film, which this thread keeps for the next exposure and the next study. What comes of it does not depend on what was on it.
+pub(super) fn with_film<T>(work: impl FnOnce(&mut Film) -> T) -> T {
+    let mut film = UNUSED.with_borrow_mut(Vec::pop).unwrap_or_default();
+    let result = work(&mut film);
+    if film.bytes() <= MOST_KEPT {
+        UNUSED.with_borrow_mut(|unused| unused.push(film));
     }
+    result
+}
+
+/// Gives back the films of this thread.
+pub(super) fn forget() {
+    drop(UNUSED.take());
 }
 
 fn cleared<T: Clone>(values: &mut Vec<T>, count: usize, zero: T) {
@@ -215,3 +233,20 @@ fn add_to_four<const N: usize>(strides: &mut [[f32; N]], what: &[f32; N], spline
 }
 
 const _: () = assert!(STRIDE == 8 && LANES == 12);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_keeps_films_of_usual_size_until_it_is_told_to_forget() {
+        let exposed = |voxels: usize| with_film(|film| film.clear(voxels, None));
+        forget();
+        with_film(|one| with_film(|other| [one, other].map(|film| film.clear(1000, None))));
+        assert!(with_film(|one| with_film(|other| one.bytes().min(other.bytes()))) >= 4000, "both are kept");
+        forget();
+        assert_eq!(with_film(|film| film.bytes()), 0);
+        exposed(MOST_KEPT / size_of::<f32>() + 1);
+        assert_eq!(with_film(|film| film.bytes()), 0, "one that is too large is not");
+    }
+}

@@ -5,7 +5,7 @@ use super::{
     basis::Spot,
     counts::Counts,
     exposure::{Activity, Rules, Scene},
-    film::{Compared, Film, Films},
+    film::{Compared, with_film},
     priors::Priors,
     shape::{BASE, Shape, Volumes},
     step::{Moved, Step, accelerated},
@@ -92,7 +92,6 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
     let mut best: Option<(State, System)> = None;
     let mut last: Option<Moved> = None;
     let mut vicinity = Vicinity::of(&state, counts);
-    let films = Films::default();
     while steps < plan.steps && !converged {
         monitor::check(monitor)?;
         if vicinity.left_by(&state) {
@@ -100,7 +99,7 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
             vicinity = Vicinity::of(&state, counts);
             best = None;
         }
-        let system = assemble(counts, &state, priors, &plan, &vicinity, &films, monitor)?;
+        let system = assemble(counts, &state, priors, &plan, &vicinity, monitor)?;
         steps += 1;
         match &best {
             // Beyond what the last step was good for: back, and with a shorter step on.
@@ -127,7 +126,7 @@ pub(super) fn fit(counts: &Counts, start: State, priors: &Priors, plan: &Plan, m
         }
         monitor.advance(steps, plan.steps + 1);
     }
-    let mut system = assemble(counts, &state, priors, &plan, &vicinity, &films, monitor)?;
+    let mut system = assemble(counts, &state, priors, &plan, &vicinity, monitor)?;
     if let Some((before, of_before)) = best
         && system.energy() > of_before.energy()
     {
@@ -200,18 +199,15 @@ fn correlated(counts: &Counts, state: &State, vicinity: &Vicinity) -> f64 {
         .into_par_iter()
         .map(|gate| {
             let shape = &state.shapes[gate];
-            let mut film = Film::default();
             let scene = Scene { space: &counts.space, shape, activity: &state.activity, sigma_mm: state.sigma_mm };
-            scene.expose(&counts.crop, &vicinity.rules[gate], None, &mut film);
-            let residual: Vec<Option<f64>> = counts
-                .places
-                .iter()
-                .enumerate()
-                .map(|(voxel, place)| {
+            let residual: Vec<Option<f64>> = with_film(|film| {
+                scene.expose(&counts.crop, &vicinity.rules[gate], None, film);
+                let compared = counts.places.iter().enumerate().map(|(voxel, place)| {
                     let usable = counts.known[voxel] && is_compared(place, shape);
                     usable.then(|| f64::from(counts.gates[gate][voxel] - film.image[voxel]).clamp(-2.0 * ROBUST, 2.0 * ROBUST))
-                })
-                .collect();
+                });
+                compared.collect()
+            });
             let [_, ny, nx] = counts.crop.shape;
             [ny * nx, nx, 1].map(|stride| {
                 let (mut shared, mut own) = (0.0, 0.0);

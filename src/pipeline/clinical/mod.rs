@@ -37,6 +37,11 @@ use serde::{Deserialize, Serialize};
 use shape::Space;
 use surfaces::Layout;
 
+/// Gives back the memory that the calling thread keeps from one study to the next.
+pub(super) fn forget() {
+    film::forget();
+}
+
 /// What the model of the camera says of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelFit {

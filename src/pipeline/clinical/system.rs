@@ -4,7 +4,7 @@ use super::{
     basis::MAP_HARMONICS,
     counts::Counts,
     exposure::{ACTIVITY, COLUMNS, COLUMNS_WITHOUT_MAP, MAP, Scene, UPTAKE},
-    film::{Derived, Film, Films, LANES},
+    film::{Derived, Film, LANES, with_film},
     fit::{Plan, ROBUST, State, Vicinity},
     gram::{self, Gram},
     linear::{Arrow, Block},
@@ -155,7 +155,6 @@ pub(super) fn assemble(
     priors: &Priors,
     plan: &Plan,
     vicinity: &Vicinity,
-    films: &Films,
     monitor: &dyn Monitor,
 ) -> Result<System, PipelineError> {
     let shared = SHARED + if plan.fits_map { UPTAKE } else { 0 };
@@ -163,7 +162,7 @@ pub(super) fn assemble(
         .into_par_iter()
         .map(|gate| {
             monitor::check(monitor)?;
-            Ok(films.with(|film| films.with(|wider| normal_of_gate(counts, state, gate, plan, vicinity, [film, wider]))))
+            Ok(with_film(|film| with_film(|wider| normal_of_gate(counts, state, gate, plan, vicinity, [film, wider]))))
         })
         .collect();
     let normals = normals.into_iter().collect::<Result<Vec<_>, _>>()?;
