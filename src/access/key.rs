@@ -6,7 +6,6 @@
 use base64::{Engine as _, engine::general_purpose::URL_SAFE_NO_PAD};
 use ring::rand::{SecureRandom as _, SystemRandom};
 use sha2::{Digest as _, Sha256};
-use std::fmt::Write as _;
 
 /// What every key begins with: recognisable to people and to programs that look for secrets in sources.
 const PREFIX: &str = "ventricle_";
@@ -35,7 +34,7 @@ impl Made {
         let (mut id, mut secret) = ([0; ID_BYTES], [0; SECRET_BYTES]);
         random.fill(&mut id)?;
         random.fill(&mut secret)?;
-        let id = hexadecimal(&id);
+        let id = hex::encode(id);
         let secret = URL_SAFE_NO_PAD.encode(secret);
         Ok(Self { text: format!("{PREFIX}{id}_{secret}"), sha256: digest(&secret), id })
     }
@@ -53,15 +52,7 @@ pub(super) fn taken_apart(text: &str) -> Option<(&str, String)> {
 }
 
 fn digest(secret: &str) -> String {
-    hexadecimal(&Sha256::digest(secret.as_bytes()))
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        // Writing to a text does not fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    hex::encode(Sha256::digest(secret.as_bytes()))
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ mod signature;
 mod token;
 
 pub use attempts::Attempts;
-pub use audit::{Audit, AuditError, Deed};
+pub use audit::{Audit, AuditError, AuditFile, Deed};
 pub use authorization::{Presented, Unreadable};
 pub use issuer::{Fetch, Issuer, IssuerSettings};
 pub use key::Made;

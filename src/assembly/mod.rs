@@ -12,6 +12,7 @@ pub use parsers::{NotParsed, Parsers};
 pub use reception::{MOST_WAITING_BYTES, Outcome, Received, Reception, Refusal, Way};
 
 use crate::{
+    access::Audit,
     intake::{self, IntakeError},
     jobs::{NewJob, Store, StoreError},
     pipeline::parameters::Parameters,
@@ -65,14 +66,14 @@ impl Assembler {
         Reception::new(self.clone(), owner, way, study_uid)
     }
 
-    /// Starts looking for series that went quiet.
-    pub fn watch(&self) -> Watch {
+    /// Starts looking for series that went quiet. What becomes of them is told to the audit log, if there is one: no request has it in its line.
+    pub fn watch(&self, audit: Option<Audit>) -> Watch {
         let assembler = self.clone();
         let task = tokio::spawn(async move {
             let pause = (assembler.settings.quiet / 4).clamp(Duration::from_millis(20), LOOKED_EVERY);
             loop {
                 tokio::time::sleep(pause).await;
-                if let Err(error) = assembler.assemble_quiet().await {
+                if let Err(error) = assembler.assemble_quiet(audit.as_ref()).await {
                     tracing::warn!(%error, "studies that wait for their rest could not be looked for");
                 }
             }
@@ -108,11 +109,6 @@ fn read(files: &[impl AsRef<[u8]>], settings: &Settings) -> Result<intake::Recei
     let parts: Vec<_> = files.iter().map(|file| part(file.as_ref())).collect();
     let options = intake::Options { keep_subject: settings.keep_subject, ..intake::Options::default() };
     intake::read(&parts, &options, &settings.limits)
-}
-
-/// Lower-case hexadecimal.
-fn hex(bytes: [u8; 32]) -> String {
-    bytes.iter().fold(String::new(), |text, byte| format!("{text}{byte:02x}"))
 }
 
 fn digest(parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> [u8; 32] {

@@ -1,6 +1,6 @@
 //! The instances of one request or association: each is looked at as it comes, committed to disk, and answered for.
 
-use super::{Assembler, Settings, digest, hex, read};
+use super::{Assembler, Settings, digest, read};
 use crate::{
     intake::{self, Holds, Instance, IntakeError},
     jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError, Submitted},
@@ -267,7 +267,7 @@ fn examine(bytes: &[u8], owner: String, settings: &Settings) -> Result<Examined,
         None
     };
     let Instance { class_uid, instance_uid, study_uid, series_uid, holds, identity, excerpt } = instance;
-    let identity = hex(match &study {
+    let identity = hex::encode(match &study {
         Some(received) => whole(identity, &received.study),
         None => identity,
     });

@@ -1,11 +1,21 @@
 //! The parts of a series, put together when all are there or when no more seem to come.
 
-use super::{Assembler, digest, hex, read};
+use super::{Assembler, digest, read};
 use crate::{
+    access::{Audit, Deed},
     intake::{Holds, IntakeError, Nature, Received, sentence},
-    jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError},
+    jobs::{JobError, Members, Series, StoreError, StoredInstance, SubmitError, Submitted},
 };
 use uuid::Uuid;
+
+/// The job of a series.
+struct Assembled {
+    job: Uuid,
+    /// Whether it was made now, and by this process.
+    new: bool,
+    /// Why the series makes no study, if it makes none: the code with which the job failed.
+    failed: Option<String>,
+}
 
 /// Why a series is not put together now.
 #[derive(Debug, thiserror::Error)]
@@ -25,14 +35,19 @@ impl Assembler {
         if parts.iter().all(|part| part.job.is_some()) || !complete(&parts) {
             return Ok(None);
         }
-        self.assemble(series, &parts, false).await
+        Ok(self.assemble(series, &parts, false).await?.map(|assembled| assembled.job))
     }
 
     /// Makes jobs of the series that went quiet.
-    pub(super) async fn assemble_quiet(&self) -> Result<(), AssemblyError> {
+    pub(super) async fn assemble_quiet(&self, audit: Option<&Audit>) -> Result<(), AssemblyError> {
         for series in self.store.quiet_series(self.settings.quiet).await? {
             let parts = self.store.series(&series).await?;
             match self.assemble(&series, &parts, !complete(&parts)).await {
+                Ok(Some(Assembled { job, new: true, failed })) => {
+                    if let Some(audit) = audit {
+                        audit.tell(Deed { owner: Some(series.owner), jobs: vec![job], refused: failed, ..Deed::now("assembly") }).await;
+                    }
+                }
                 Ok(_) => {}
                 // It waits on disk until there is room.
                 Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
@@ -46,10 +61,10 @@ impl Assembler {
         Ok(())
     }
 
-    async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Uuid>, AssemblyError> {
+    async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Assembled>, AssemblyError> {
         // Of a key that no client can send: it has a space.
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
-        let key = format!("dicom series {}", hex(identity));
+        let key = format!("dicom series {}", hex::encode(identity));
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
         // Its bytes are known, and judged, when it is stored.
         let reservation = self.store.reserve(0).map_err(SubmitError::from)?;
@@ -60,7 +75,11 @@ impl Assembler {
                 match self.store.submit_assembled(reservation, new, members).await {
                     // It would wait for room for ever.
                     Err(error @ SubmitError::TooLarge { .. }) => JobError { code: "too_large".to_owned(), message: error.to_string() },
-                    submitted => return Ok(Some(submitted?.job().id)),
+                    submitted => {
+                        let submitted = submitted?;
+                        let new = matches!(submitted, Submitted::Created(_));
+                        return Ok(Some(Assembled { job: submitted.job().id, new, failed: None }));
+                    }
                 }
             }
             // Not the study's fault: it waits.
@@ -69,7 +88,7 @@ impl Assembler {
         };
         tracing::info!(code = error.code, "the instances of a series make no study");
         let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
-        Ok(failed.map(|job| job.id))
+        Ok(failed.map(|job| Assembled { job: job.id, new: true, failed: Some(error.code) }))
     }
 
     async fn read_series(&self, series: &Series, parts: &[StoredInstance]) -> Result<Result<Received, IntakeError>, AssemblyError> {

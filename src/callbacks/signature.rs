@@ -2,7 +2,6 @@
 
 use hmac::{Hmac, KeyInit as _, Mac as _, digest::InvalidLength};
 use sha2::Sha256;
-use std::fmt::Write as _;
 
 /// Signs with the secret shared with the receivers.
 #[derive(Clone)]
@@ -27,12 +26,7 @@ impl Signer {
         let mut keyed = self.keyed.clone();
         keyed.update(format!("{unix_s}.").as_bytes());
         keyed.update(body);
-        let mut header = format!("t={unix_s},v1=");
-        for byte in keyed.finalize().into_bytes() {
-            // Writing to a string does not fail.
-            let _ = write!(header, "{byte:02x}");
-        }
-        header
+        format!("t={unix_s},v1={}", hex::encode(keyed.finalize().into_bytes()))
     }
 }
 

@@ -1,10 +1,10 @@
 //! `ventricle keys`: makes, lists and revokes API keys. A running service follows within seconds.
 
-use anyhow::bail;
+use anyhow::{Context as _, bail};
 use jiff::{SignedDuration, Timestamp};
 use std::{io::Write as _, path::PathBuf};
 use ventricle::{
-    access::{self, KeyRecord, Scope, Wished},
+    access::{self, AuditFile, Deed, KeyRecord, Scope, Wished},
     config::{default_keys_file, owner},
 };
 
@@ -31,6 +31,10 @@ struct Place {
     #[arg(long, env = "VENTRICLE_DATA_DIR", default_value = "./data", global = true)]
     data_dir: PathBuf,
 
+    /// The audit log of the service, which is told of keys that are made and revoked.
+    #[arg(long, env = "VENTRICLE_AUDIT_LOG", global = true)]
+    audit_log: Option<PathBuf>,
+
     /// Prints JSON.
     #[arg(long, global = true)]
     json: bool,
@@ -39,6 +43,11 @@ struct Place {
 impl Place {
     fn file(&self) -> PathBuf {
         self.keys_file.clone().unwrap_or_else(|| default_keys_file(&self.data_dir))
+    }
+
+    /// The audit log, opened before anything is done that it is to tell of.
+    fn audit(&self) -> Result<Option<AuditFile>, access::AuditError> {
+        self.audit_log.as_deref().map(AuditFile::open).transpose()
     }
 }
 
@@ -97,11 +106,20 @@ pub(crate) fn run(Args { command, place }: Args) -> anyhow::Result<()> {
         Command::Add(asked) => add(asked, &place, &file),
         Command::List => list(&place, &file),
         Command::Revoke { id } => {
+            let audit = place.audit()?;
             let revoked = access::revoke(&file, &id)?;
             println!("{} of {} is revoked.", revoked.id, revoked.owner);
-            Ok(())
+            tell(audit, "keys revoke", revoked.owner, revoked.id)
         }
     }
+}
+
+/// Tells the audit log, if there is one, of what was done with a key, and by which user of the system.
+fn tell(audit: Option<AuditFile>, what: &str, owner: String, key: String) -> anyhow::Result<()> {
+    let Some(mut audit) = audit else { return Ok(()) };
+    let who = format!("uid {}", rustix::process::getuid().as_raw());
+    let deed = Deed { owner: Some(owner), who: Some(who), key: Some(key), ..Deed::now(what) };
+    audit.add(&deed).context("It is done, but the audit log could not be told of it")
 }
 
 fn add(asked: Add, place: &Place, file: &std::path::Path) -> anyhow::Result<()> {
@@ -111,6 +129,7 @@ fn add(asked: Add, place: &Place, file: &std::path::Path) -> anyhow::Result<()> 
     }
     scope.sort_unstable();
     scope.dedup();
+    let audit = place.audit()?;
     let first = !file.exists();
     let created_at = Timestamp::now();
     let expires_at = expires_days.map(|days| created_at + SignedDuration::from_hours(24 * i64::from(days)));
@@ -127,7 +146,7 @@ fn add(asked: Add, place: &Place, file: &std::path::Path) -> anyhow::Result<()> 
     })?;
     if place.json {
         println!("{}", serde_json::json!({ "id": made.id, "owner": owner, "key": made.text, "expires_at": expires_at }));
-        return Ok(());
+        return tell(audit, "keys add", owner, made.id);
     }
     println!("{}", made.text);
     // Beside the output, which may be on its way into a file.
@@ -136,7 +155,7 @@ fn add(asked: Add, place: &Place, file: &std::path::Path) -> anyhow::Result<()> 
     if first {
         writeln!(said, "It is the first: a service that runs already asks for keys from its next start on.")?;
     }
-    Ok(())
+    tell(audit, "keys add", owner, made.id)
 }
 
 fn list(place: &Place, file: &std::path::Path) -> anyhow::Result<()> {

@@ -173,7 +173,8 @@ impl<'a, S: Stream> Association<'a, S> {
             self.refused += 1;
         }
         let owner = Some(self.shared.settings.owner.clone());
-        self.shared.tell(Deed { at, what: "C-STORE".to_owned(), status, owner, jobs, refused, ..self.asked.clone() }).await;
+        let deed = Deed { at, what: "C-STORE".to_owned(), status: Some(status), owner, jobs, refused, ..self.asked.clone() };
+        self.shared.tell(deed).await;
         metrics::counter!("ventricle_dimse_objects_total", "status" => format!("{status:04X}")).increment(1);
         self.respond(context.id, request, status, comment.as_deref()).await
     }

@@ -130,7 +130,7 @@ async fn accept(listener: TcpListener, shared: Arc<Shared>) {
                 let shared = Arc::clone(&shared);
                 let id = Uuid::now_v7().to_string();
                 let span = tracing::info_span!("association", request_id = %id);
-                let asked = Deed::asked("A-ASSOCIATE".to_owned(), from.ip().to_canonical(), id);
+                let asked = Deed::asked("A-ASSOCIATE", from.ip().to_canonical(), id);
                 connections.spawn(async move { shared.connection(stream, asked).await }.instrument(span));
             }
             Err(error) => {
@@ -219,7 +219,7 @@ impl Shared {
             AssociationRJResult::Permanent => 1,
             AssociationRJResult::Transient => 2,
         };
-        self.tell(Deed { status, refused: Some(rejection.source.to_string()), ..asked }).await;
+        self.tell(Deed { status: Some(status), refused: Some(rejection.source.to_string()), ..asked }).await;
         if peer.write(&Pdu::AssociationRJ(rejection)).await.is_ok() {
             peer.close().await;
         }

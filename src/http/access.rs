@@ -166,7 +166,7 @@ pub(super) async fn guard(State(state): State<AppState>, mut request: Request, n
     };
     // Where nothing has changed nothing was told.
     if let Some(audit) = state.audit.as_ref().filter(|_| response.status() != StatusCode::NOT_MODIFIED) {
-        deed.status = response.status().as_u16();
+        deed.status = Some(response.status().as_u16());
         deed.refused = response.extensions().get::<Problem>().map(|problem| problem.code.clone());
         deed.jobs.extend(response.extensions().get::<About>().iter().flat_map(|about| about.0.iter()));
         audit.tell(deed).await;

@@ -192,7 +192,7 @@ pub async fn start(settings: &ServeSettings, workers: WorkerSettings) -> Result<
         state = state.with_callbacks(rules);
     }
     let deliveries = outward.deliveries.map(|settings| callbacks::start(store.clone(), settings));
-    let assembly = state.assembler().watch();
+    let assembly = state.assembler().watch(audit.clone());
     let admission = admission::watch(&state.access);
     let (draining, closing) = (state.draining(), CancellationToken::new());
     let dimse = dimse_listener.map(|listener| {

@@ -406,6 +406,5 @@ pub(super) fn parse_id(text: &str) -> Result<Uuid, StoreError> {
 
 /// SHA-256 in lower-case hexadecimal.
 pub(super) fn sha256(data: &[u8]) -> String {
-    let nibbles = Sha256::digest(data).into_iter().flat_map(|byte| [byte >> 4, byte & 0xf]);
-    nibbles.filter_map(|nibble| char::from_digit(nibble.into(), 16)).collect()
+    hex::encode(Sha256::digest(data))
 }

@@ -9,7 +9,6 @@ use prost::Message as _;
 use serde_json::{Value, json};
 use std::{
     collections::BTreeMap,
-    fmt::Write as _,
     io::{BufRead as _, BufReader, Read as _, Write as _},
     net::{TcpListener, TcpStream},
     sync::{Arc, Mutex},
@@ -119,12 +118,4 @@ pub(crate) fn attributes(pairs: &[KeyValue]) -> BTreeMap<String, Value> {
     let attributes: BTreeMap<_, _> = pairs.iter().map(|pair| (pair.key.clone(), value(&pair.value))).collect();
     assert_eq!(attributes.len(), pairs.len(), "an attribute is there twice: {pairs:?}");
     attributes
-}
-
-/// An id in hexadecimal.
-pub(crate) fn hexadecimal(id: &[u8]) -> String {
-    id.iter().fold(String::new(), |mut text, byte| {
-        write!(text, "{byte:02x}").unwrap();
-        text
-    })
 }

@@ -9,6 +9,7 @@ use dicom_dictionary_std::tags;
 use serde_json::{Value, json};
 use std::{
     collections::BTreeSet,
+    path::Path,
     time::{Duration, Instant},
 };
 
@@ -50,6 +51,20 @@ fn reasons(answer: &Answer, sequence: &str) -> Vec<u64> {
 fn jobs(service: &Served, study_uid: &str) -> Vec<Value> {
     let list = service.get(&format!("/v1/reconstructions?study_instance_uid={study_uid}")).json();
     list["reconstructions"].as_array().unwrap().clone()
+}
+
+/// The line of the audit log about the one series that was put together when it was quiet.
+fn of_assembly(log: &Path) -> Value {
+    let start = Instant::now();
+    loop {
+        let mut lines = audited(log, 1).into_iter().filter(|line| line["what"] == "assembly");
+        if let Some(line) = lines.next() {
+            assert_eq!(lines.next(), None);
+            return line;
+        }
+        assert!(start.elapsed() < SOON, "no series was put together");
+        std::thread::sleep(Duration::from_millis(50));
+    }
 }
 
 /// The jobs of a study once there are so many and all are finished.
@@ -139,7 +154,8 @@ fn a_study_gives_the_same_report_whole_by_gates_and_by_slices() {
 #[test]
 fn parts_that_do_not_say_how_many_they_are_wait_until_it_is_quiet() {
     let data = Directory::new("stow");
-    let service = Served::start(&data.0, &FLAGS);
+    let log = data.0.join("audit.jsonl");
+    let service = Served::start(&data.0, &[&FLAGS[..], &["--audit-log", log.to_str().unwrap()]].concat());
     let whole = parted::whole(2);
     let uid = parted::text_of(&whole, tags::STUDY_INSTANCE_UID);
     let files: Vec<_> = parted::gates(&whole).iter().map(|file| parted::without(file, &[tags::NUMBER_OF_TIME_SLOTS])).collect();
@@ -148,6 +164,9 @@ fn parts_that_do_not_say_how_many_they_are_wait_until_it_is_quiet() {
     assert_eq!(jobs(&service, &uid).len(), 0);
     let first = finished(&service, &uid, 1);
     assert_eq!((&first[0]["state"], &first[0]["progress"]["gates_total"]), (&"succeeded".into(), &(GATES - 1).into()));
+    let made = of_assembly(&log);
+    assert_eq!((&made["jobs"], &made["owner"]), (&json!([first[0]["id"]]), &json!("anonymous")), "{made}");
+    assert!(made["refused"].is_null() && made["address"].is_null(), "{made}");
     assert_eq!(store(&service, &files[..1]).status, 200);
     let both = finished(&service, &uid, 2);
     let gates: BTreeSet<u64> = both.iter().map(|job| job["progress"]["gates_total"].as_u64().unwrap()).collect();
@@ -158,7 +177,9 @@ fn parts_that_do_not_say_how_many_they_are_wait_until_it_is_quiet() {
 #[test]
 fn parts_that_make_no_study_are_a_failed_job_until_the_rest_comes() {
     let data = Directory::new("stow");
-    let mut service = Served::start(&data.0, &FLAGS);
+    let log = data.0.join("audit.jsonl");
+    let flags = [&FLAGS[..], &["--audit-log", log.to_str().unwrap()]].concat();
+    let mut service = Served::start(&data.0, &flags);
     let whole = parted::whole(3);
     let uid = parted::text_of(&whole, tags::STUDY_INSTANCE_UID);
     let mut files = parted::slices(&whole);
@@ -166,8 +187,11 @@ fn parts_that_make_no_study_are_a_failed_job_until_the_rest_comes() {
     assert_eq!(store(&service, &files).status, 200);
     // What was answered for outlives the process.
     service.kill();
-    service = Served::start(&data.0, &FLAGS);
+    service = Served::start(&data.0, &flags);
     let failed = finished(&service, &uid, 1);
+    // No request made it; who looks for it in the audit log finds it all the same.
+    let made = of_assembly(&log);
+    assert_eq!((&made["jobs"], &made["refused"]), (&json!([failed[0]["id"]]), &json!("inconsistent_frames")), "{made}");
     assert_eq!((&failed[0]["state"], &failed[0]["error"]["code"]), (&"failed".into(), &"inconsistent_frames".into()), "{failed:?}");
     assert!(failed[0]["error"]["detail"].as_str().unwrap().contains("missing"), "{failed:?}");
     assert!(failed[0]["expires_at"].is_string());

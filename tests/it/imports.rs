@@ -221,7 +221,7 @@ const RULES: &[Rule] = &[
     },
     Rule {
         module: "assembly",
-        crate_modules: &["intake", "study", "pipeline", "jobs"],
+        crate_modules: &["access", "intake", "study", "pipeline", "jobs"],
         external: External::AllBut(&[
             "axum",
             "clap",

@@ -399,7 +399,7 @@ async fn nodes_that_complete_a_series_at_once_make_one_job(place: &Place) {
 async fn nodes_that_find_a_series_quiet_at_once_make_one_job(place: &Place) {
     let nodes = two_nodes(place).await;
     let assemblers = [&nodes[0], &nodes[1]].map(|store| assembler(store, Duration::from_millis(300)));
-    let _watches = [assemblers[0].watch(), assemblers[1].watch()];
+    let _watches = [assemblers[0].watch(None), assemblers[1].watch(None)];
     let mut expected = 0;
     // Gates that do not say how many they are make a study; slices of which one is missing make none.
     let whole = parted::whole(1);
@@ -435,7 +435,7 @@ async fn a_series_that_cannot_be_read_holds_up_no_other(place: &Place) {
     place.run(format!("UPDATE instances SET sha256 = 'other' WHERE sop_instance_uid = '{uid}'")).await;
     let store = place.open().await;
     assert!(matches!(store.excerpt(OWNER, &uid).await.unwrap_err(), StoreError::Damaged { .. }));
-    let _watch = assembler(&store, Duration::from_millis(50)).watch();
+    let _watch = assembler(&store, Duration::from_millis(50)).watch(None);
     let [job] = jobs_soon(&store).await.try_into().unwrap();
     assert_eq!(store.get(job).await.unwrap().unwrap().study_instance_uid.as_deref(), Some(second.study_uid.as_str()));
     assert_eq!(waiting(&store).await, [first], "it stays for who repairs it");

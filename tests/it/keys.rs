@@ -132,3 +132,27 @@ fn the_audit_log_tells_who_did_what_with_which_job_and_is_opened_anew_on_sighup(
     assert_eq!((of(&told[0], "what"), &told[0]["jobs"]), ("DELETE /v1/reconstructions/{id}".to_owned(), &json!([job])));
     assert_eq!(fs::read_to_string(moved).unwrap().lines().count(), 3);
 }
+
+#[test]
+fn the_audit_log_tells_which_keys_were_made_and_revoked_and_none_is_made_without_it() {
+    let directory = Directory::new("keys-audit");
+    let (data, log) = (&directory.0, directory.0.join("audit.jsonl"));
+    let service = Served::start(data, &["--audit-log", log.to_str().unwrap()]);
+    service.get("/v1/reconstructions");
+    let told_to = ["--audit-log", log.to_str().unwrap()];
+    let (key, id) = add(data, &[&["--owner", "ours"], &told_to[..]].concat());
+    assert!(keys(data, &[&["revoke", &id], &told_to[..]].concat()).status.success());
+    service.get("/v1/reconstructions");
+    let told = audited(&log, 4);
+    for (line, what) in told[1..3].iter().zip(["keys add", "keys revoke"]) {
+        assert_eq!((&line["what"], &line["owner"], &line["key"]), (&json!(what), &json!("ours"), &json!(id)));
+        assert!(line["who"].as_str().unwrap().starts_with("uid ") && line["status"].is_null(), "{line}");
+    }
+    assert_eq!((&told[0]["what"], &told[3]["what"]), (&json!("GET /v1/reconstructions"), &json!("GET /v1/reconstructions")));
+    assert!(!fs::read_to_string(&log).unwrap().contains(key.rsplit('_').next().unwrap()));
+    let nowhere = directory.0.join("absent/audit.jsonl");
+    let refused = keys(data, &["add", "--owner", "others", "--audit-log", nowhere.to_str().unwrap()]);
+    assert!(!refused.status.success() && refused.stdout.is_empty(), "{refused:?}");
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("audit log"), "{refused:?}");
+    assert!(!String::from_utf8(keys(data, &["list"]).stdout).unwrap().contains("others"));
+}

@@ -1,7 +1,7 @@
 //! Traces as a collector gets them: of requests, of jobs and their stages; whose parent is whose; and what a collector that is no good costs.
 
 use crate::{
-    collector::{Collector, Manner, attributes, hexadecimal},
+    collector::{Collector, Manner, attributes},
     observed::{phantom_of_noise, small},
     served::{Answer, Directory, Served, answer},
 };
@@ -124,7 +124,7 @@ fn a_request_its_job_and_the_stages_are_told_to_the_collector() {
         |message: &str| lines.iter().find(|line| line["message"] == message).map(|line| line["span"]["trace_id"].clone()).unwrap();
     assert_eq!(trace_of("job accepted"), TRACE);
     let job = *named(&spans, "job").iter().find(|span| said(span)["ventricle.job.id"] == *id).unwrap();
-    assert_eq!(trace_of("job finished"), hexadecimal(&job.trace_id));
+    assert_eq!(trace_of("job finished"), hex::encode(&job.trace_id));
 }
 
 /// What is true of every span.
@@ -144,7 +144,7 @@ fn sound(spans: &[Span]) {
 
 fn requests(spans: &[Span], id: &str) {
     let [submitted, noise] = named(spans, "POST /v1/reconstructions").try_into().unwrap();
-    assert_eq!((hexadecimal(&submitted.trace_id), hexadecimal(&submitted.parent_span_id)), (TRACE.to_owned(), PARENT.to_owned()));
+    assert_eq!((hex::encode(&submitted.trace_id), hex::encode(&submitted.parent_span_id)), (TRACE.to_owned(), PARENT.to_owned()));
     assert!(submitted.kind() == SpanKind::Server && !is_error(submitted));
     let expected = [
         ("http.request.method", json!("POST")),
@@ -155,7 +155,7 @@ fn requests(spans: &[Span], id: &str) {
     ];
     assert_eq!(said(submitted), expected.map(|(name, value)| (name.to_owned(), value)).into());
     assert_eq!(submitted.events.iter().map(|event| event.name.as_str()).collect::<Vec<_>>(), ["job accepted"]);
-    assert!(hexadecimal(&noise.trace_id) != TRACE && noise.parent_span_id.is_empty(), "what is no parent is none");
+    assert!(hex::encode(&noise.trace_id) != TRACE && noise.parent_span_id.is_empty(), "what is no parent is none");
 
     let looks = named(spans, "GET /v1/reconstructions/{id}");
     assert!(looks.len() >= 2 && looks.iter().all(|span| said(span)["http.response.status_code"] == 200), "{looks:?}");
@@ -221,7 +221,7 @@ fn a_part_is_told_and_whoever_names_a_parent_decides() {
     let spans = collector.spans();
     sound(&spans);
     let [request] = named(&spans, "POST /v1/reconstructions").try_into().unwrap();
-    assert_eq!(hexadecimal(&request.trace_id), TRACE);
+    assert_eq!(hex::encode(&request.trace_id), TRACE);
     let [job] = named(&spans, "job").try_into().unwrap();
     assert_eq!(said(job)["ventricle.job.id"], submitted[0], "the job of the request that is told, and no other");
     assert!(spans.iter().all(|span| span.trace_id == request.trace_id || span.trace_id == job.trace_id));

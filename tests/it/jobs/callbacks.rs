@@ -243,8 +243,7 @@ async fn a_callback_comes_once_and_signed_without_what_belongs_to_the_patient(pl
     let mut expected = Hmac::<Sha256>::new_from_slice(SECRET.as_bytes()).unwrap();
     expected.update(format!("{time}.").as_bytes());
     expected.update(&seen.body);
-    let given: Vec<u8> = (0..32).map(|i| u8::from_str_radix(&signature[2 * i..2 * i + 2], 16).unwrap()).collect();
-    expected.verify_slice(&given).unwrap();
+    expected.verify_slice(&hex::decode(signature).unwrap()).unwrap();
 
     let body: Value = serde_json::from_slice(&seen.body).unwrap();
     let fields: Vec<&str> = body.as_object().unwrap().keys().map(String::as_str).collect();
