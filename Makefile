@@ -111,7 +111,7 @@ tables: build ## redoes the paper's tables and figures into docs/paper.md and do
 # The labelled studies are not part of the project; without them their tables stay as they are.
 LABELLED ?= ../shared/data/gated-short-axis
 
-accuracy: build ## measures both presets on phantoms and labelled studies into docs/accuracy.md (about half an hour)
+accuracy: build ## measures both presets on phantoms and labelled studies into docs/accuracy.md (some twenty minutes)
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --ablation --write docs/accuracy.md --plots docs/accuracy \
 		$(if $(wildcard $(LABELLED)/labels.json),--real $(LABELLED))
 	@"$(CARGO_TARGET_DIR)/release/ventricle" accuracy --regional --write docs/accuracy.md

@@ -113,7 +113,10 @@ async fn run(store: Weak<Inner>, mut changes: broadcast::Receiver<Option<Change>
         }
         let news = match changed {
             None => vec![News::Missed],
-            Some(changed) if changed.is_empty() => read(&store, found(&store, &mut known).await, &mut known).await,
+            Some(changed) if changed.is_empty() => match found(&store, &mut known).await {
+                Some(changed) => read(&store, changed, &mut known).await,
+                None => vec![News::Missed],
+            },
             Some(changed) => read(&store, changed, &mut known).await,
         };
         for one in news {
@@ -143,23 +146,24 @@ async fn read(store: &Store, changed: Vec<Change>, known: &mut Option<Look>) -> 
     news
 }
 
-/// The jobs that are new, have changed or are finished since the rows were last looked at, and the rows as they now are.
-async fn found(store: &Store, known: &mut Option<Look>) -> Vec<Change> {
+/// The jobs that are new, have changed or are finished since the rows were last looked at, and the rows as they now are; `None` if they were not: what
+/// changed since somebody began to listen cannot be told from what had before.
+async fn found(store: &Store, known: &mut Option<Look>) -> Option<Vec<Change>> {
     let now = match store.look(known.as_ref()).await {
         Ok(now) => now,
         Err(error) => {
             tracing::debug!(%error, "changes of other nodes could not be looked for");
-            return vec![];
+            return Some(vec![]);
         }
     };
     let Some(before) = known.take() else {
         *known = Some(now);
-        return vec![];
+        return None;
     };
     let new = now.versions.iter().filter(|(id, (version, _))| before.versions.get(id).is_none_or(|(before, _)| before != version));
     let finished = before.versions.iter().filter(|(id, _)| !now.versions.contains_key(id));
     let changed = new.chain(finished).map(|(id, (_, owner))| Change { id: *id, owner: Some(Arc::clone(owner)) }).collect();
     // What is read now is compared with what was told, not with what was just seen.
     *known = Some(Look { versions: before.versions, newest: now.newest });
-    changed
+    Some(changed)
 }

@@ -25,6 +25,7 @@ on_postgres! {
     what_one_node_does_the_others_hear,
     without_notifications_polling_is_enough,
     who_listens_to_all_jobs_hears_of_those_of_other_nodes,
+    who_begins_to_listen_misses_no_job_of_another_node_without_knowing,
     a_job_is_cancelled_from_another_node_nearly_at_once,
     a_listener_that_was_cut_off_comes_back_and_looks_again,
     limits_hold_however_many_submit_on_two_nodes,
@@ -139,6 +140,26 @@ async fn who_listens_to_all_jobs_hears_of_those_of_other_nodes(place: &Place) {
         listener.close().await;
     }
     assert_eq!(other.get(before.id).await.unwrap().unwrap().state, State::Queued);
+}
+
+async fn who_begins_to_listen_misses_no_job_of_another_node_without_knowing(place: &Place) {
+    let other = place.open().await;
+    let poll = Duration::from_millis(300);
+    let listener = Store::open(StoreSettings { poll, listen: false, ..place.settings() }).await.unwrap();
+    // Until nobody listens any more and that was noticed: then there is nothing to compare a look with.
+    drop(listener.news());
+    tokio::time::sleep(2 * poll).await;
+    let mut news = listener.news();
+    let new = submit(&other).await;
+    told(&mut news, |one| matches!(one, News::Missed)).await;
+    // Once: what happens from now on is told by itself.
+    assert!(matches!(other.delete(new.id).await.unwrap(), Deletion::Cancelled(_)));
+    told(&mut news, |one| {
+        assert!(!matches!(one, News::Missed));
+        matches!(one, News::Changed(job) if job.id == new.id && job.state == State::Cancelled)
+    })
+    .await;
+    listener.close().await;
 }
 
 async fn a_job_is_cancelled_from_another_node_nearly_at_once(place: &Place) {
