@@ -6,7 +6,7 @@
 //! give it (`Threads::ByLoad`), which make it faster by Amdahl's law with the share of parallel work that two threads were measured to have; where
 //! more threads run than there are processors, they share them. The same parameters give the same tables to the last digit.
 //!
-//! `cargo bench --bench scaling -- --service-s 1.2 --speedup 1.4 --accepted 46 --carried 300` takes other figures than the measured ones.
+//! `cargo bench --bench scaling -- --service-s 1.2 --speedup 1.4 --accepted 46 --carried 260` takes other figures than the measured ones.
 #![allow(clippy::unwrap_used, clippy::print_stderr, missing_docs)]
 
 use rand::{RngExt as _, SeedableRng as _};
@@ -98,7 +98,7 @@ fn parameters() -> Parameters {
         service_s: given("--service-s").unwrap_or_else(|| processors() / figure("sharing.one-thread.queue")),
         speedup: given("--speedup").unwrap_or_else(|| figure("sharing.one-thread.alone") / figure("sharing.by-load.alone")),
         accepted: given("--accepted").unwrap_or_else(|| figure("accepted.postgres.whole")),
-        carried: given("--carried").unwrap_or(300.0),
+        carried: given("--carried").unwrap_or(260.0),
     }
 }
 

@@ -64,8 +64,8 @@ fn deployed() -> Vec<(String, String)> {
 fn what_is_deployed_names_settings_that_are_there_and_gives_time_to_stop() {
     let command = ServeSettings::augment_args(Command::new("serve"));
     let known: BTreeSet<String> = command.get_arguments().map(|setting| setting.get_env().unwrap().to_str().unwrap().to_owned()).collect();
-    // Draining, giving back (6 s) and last answers (5 s), as docs/operations.md tells under "Stopping".
-    let stopping_s = ServeSettings::from_flags([]).unwrap().drain_seconds + 11;
+    // Draining, jobs (6 s) and callbacks (5 s) given back, last answers (5 s) and traces (3 s), as docs/operations.md tells under "Stopping".
+    let stopping_s = ServeSettings::from_flags([]).unwrap().drain_seconds + 19;
     let files = deployed();
     assert_eq!(files.len(), 3);
     for (file, text) in files {

@@ -12,7 +12,7 @@ if ! cargo fuzz --version >/dev/null 2>&1; then
 fi
 for target in "$@"; do
   mkdir -p "found/$target"
-  # The whole package is safe Rust, so there is no address sanitizer: it would find nothing and halve the speed.
+  # What is fuzzed is safe Rust, so there is no address sanitizer: it would find nothing and halve the speed.
   cargo +nightly fuzz run --sanitizer none "$target" "found/$target" "corpus/$target" -- \
     -max_total_time="$seconds" -timeout=10 -rss_limit_mb=1024 -max_len=65536 -print_final_stats=1
 done
