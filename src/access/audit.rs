@@ -1,7 +1,7 @@
 //! The audit log: who did what, when, with which job. One JSON object a line, only ever added to a file of its own.
 //!
-//! A thread writes; who has something to tell waits while it is behind, so that nothing is done without its line, except when the file cannot be
-//! written at all: then it is said in the other log, counted, and `/readyz` fails.
+//! A thread writes; who has something to tell waits until his line is in the file, so that nothing is answered without it, except when the file cannot
+//! be written at all: then it is said in the other log, counted, and `/readyz` fails.
 
 use jiff::Timestamp;
 use serde::Serialize;
@@ -16,7 +16,7 @@ use std::{
     },
     thread,
 };
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use uuid::Uuid;
 
 /// Lines that may wait to be written.
@@ -134,7 +134,7 @@ fn opened(path: &Path) -> io::Result<File> {
 }
 
 enum Order {
-    Write(Box<Deed>),
+    Write(Box<Deed>, oneshot::Sender<()>),
     Reopen,
 }
 
@@ -160,9 +160,10 @@ impl Audit {
         Ok(Self { orders, writable })
     }
 
-    /// Tells of a deed.
+    /// Tells of a deed; when this returns, its line is in the file, or it was said that it could not be written.
     pub async fn tell(&self, deed: Deed) {
-        if self.orders.send(Order::Write(Box::new(deed))).await.is_err() {
+        let (written, done) = oneshot::channel();
+        if self.orders.send(Order::Write(Box::new(deed), written)).await.is_err() || done.await.is_err() {
             self.writable.store(false, Ordering::Relaxed);
         }
     }
@@ -187,15 +188,19 @@ struct Writer {
 impl Writer {
     fn run(mut self, mut orders: mpsc::Receiver<Order>) {
         while let Some(order) = orders.blocking_recv() {
-            let done = match order {
-                Order::Write(deed) => self.file.add(&deed),
-                Order::Reopen => self.file.reopen(),
+            let (done, waits) = match order {
+                Order::Write(deed, waits) => (self.file.add(&deed), Some(waits)),
+                Order::Reopen => (self.file.reopen(), None),
             };
             if let Err(error) = &done {
                 metrics::counter!("ventricle_audit_failures_total").increment(1);
                 tracing::error!(%error, "the audit log cannot be written");
             }
             self.writable.store(done.is_ok(), Ordering::Relaxed);
+            if let Some(waits) = waits {
+                // Who asked may have gone away.
+                let _ = waits.send(());
+            }
         }
     }
 }

@@ -132,6 +132,8 @@ impl Issuer {
             }
             Err(why) => tracing::warn!(%why, "the keys of the tokens' issuer could not be fetched"),
         }
+        // The pause begins when the answer is there or given up: those who waited for it do not ask one after the other.
+        self.published().asked = Some(Instant::now());
     }
 
     /// What the provider publishes now.

@@ -8,6 +8,14 @@ use crate::{
 };
 use uuid::Uuid;
 
+/// Pages of series that went quiet which are gone through at one time.
+const MOST_PAGES: usize = 64;
+
+/// The idempotency key of the parts of a series. No client can send it: it is not of ASCII.
+fn key(identity: [u8; 32]) -> String {
+    format!("§ dicom series {}", hex::encode(identity))
+}
+
 /// The job of a series.
 struct Assembled {
     job: Uuid,
@@ -40,31 +48,41 @@ impl Assembler {
 
     /// Makes jobs of the series that went quiet.
     pub(super) async fn assemble_quiet(&self, audit: Option<&Audit>) -> Result<(), AssemblyError> {
-        for series in self.store.quiet_series(self.settings.quiet).await? {
-            let parts = self.store.series(&series).await?;
-            match self.assemble(&series, &parts, !complete(&parts)).await {
-                Ok(Some(Assembled { job, new: true, failed })) => {
-                    if let Some(audit) = audit {
-                        audit.tell(Deed { owner: Some(series.owner), jobs: vec![job], refused: failed, ..Deed::now("assembly") }).await;
+        // Those that cannot be put together stay in front.
+        let mut left = 0;
+        for _ in 0..MOST_PAGES {
+            let quiet = self.store.quiet_series(self.settings.quiet, left).await?;
+            if quiet.is_empty() {
+                break;
+            }
+            for series in quiet {
+                let parts = self.store.series(&series).await?;
+                match self.assemble(&series, &parts, !complete(&parts)).await {
+                    Ok(Some(Assembled { job, new: true, failed })) => {
+                        if let Some(audit) = audit {
+                            audit.tell(Deed { owner: Some(series.owner), jobs: vec![job], refused: failed, ..Deed::now("assembly") }).await;
+                        }
+                    }
+                    Ok(_) => {}
+                    // It waits on disk until there is room.
+                    Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
+                    Err(AssemblyError::Submit(SubmitError::Store(error)) | AssemblyError::Store(error)) if error.is_passing() => {
+                        return Err(error.into());
+                    }
+                    // What is wrong with one holds up no other.
+                    Err(error) => {
+                        tracing::warn!(%error, "a study could not be put together yet");
+                        left += 1;
                     }
                 }
-                Ok(_) => {}
-                // It waits on disk until there is room.
-                Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
-                Err(AssemblyError::Submit(SubmitError::Store(error)) | AssemblyError::Store(error)) if error.is_passing() => {
-                    return Err(error.into());
-                }
-                // What is wrong with one holds up no other.
-                Err(error) => tracing::warn!(%error, "a study could not be put together yet"),
             }
         }
         Ok(())
     }
 
     async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Assembled>, AssemblyError> {
-        // Of a key that no client can send: it has a space.
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
-        let key = format!("dicom series {}", hex::encode(identity));
+        let key = key(identity);
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
         // Its bytes are known, and judged, when it is stored.
         let reservation = self.store.reserve(0).map_err(SubmitError::from)?;
@@ -109,4 +127,16 @@ impl Assembler {
 fn complete(parts: &[StoredInstance]) -> bool {
     let holds: Option<Vec<Holds>> = parts.iter().map(|part| serde_json::from_str(&part.holds).ok()).collect();
     holds.is_some_and(|holds| Holds::complete(&holds))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_client_can_take_the_key_of_a_series() {
+        // What a client sends is visible ASCII (`http::reconstructions`).
+        assert!(!key([7; 32]).is_ascii());
+        assert_ne!(key([7; 32]), key([8; 32]));
+    }
 }

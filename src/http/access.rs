@@ -1,11 +1,15 @@
 //! Who may call which route, asked before any handler: what each route needs, and what is answered to whom it is refused.
 
 use super::{AppState, body, client::ClientAddress, layers, problem::Problem};
-use crate::access::{Caller, Deed, Left, OverLimit, Refusal, Scope, TokenError};
+use crate::{
+    access::{Caller, Deed, Left, OverLimit, Refusal, Scope, TokenError},
+    traces,
+};
 use axum::{
+    RequestExt as _,
     body::Body,
-    extract::{FromRequestParts, MatchedPath, Request, State},
-    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header, request::Parts},
+    extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State},
+    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header, request::Parts, uri::Authority},
     middleware::Next,
     response::{IntoResponse, Response},
 };
@@ -15,6 +19,7 @@ use std::{
     net::{IpAddr, Ipv4Addr},
     sync::Arc,
 };
+use tracing::Instrument as _;
 use uuid::Uuid;
 
 /// What a route needs.
@@ -133,14 +138,35 @@ impl Calling {
 pub(super) struct About(pub(super) Arc<[Uuid]>);
 
 /// Lets in who may come in, counts what is used, and tells the audit log.
-pub(super) async fn guard(State(state): State<AppState>, mut request: Request, next: Next) -> Response {
+pub(super) async fn guard(State(state): State<AppState>, request: Request, next: Next) -> Response {
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let Needs::A(scope) = needs(request.method(), matched.as_deref()) else { return next.run(request).await };
+    let safe = request.method().is_safe();
+    let guarded = guarded(state, scope, matched.unwrap_or_default(), request, next);
+    if safe {
+        return guarded.await;
+    }
+    // What changes something goes on when the client goes away, and so must what tells of it.
+    let guarded = traces::current().scope(guarded).in_current_span();
+    match tokio::spawn(guarded).await {
+        Ok(response) => response,
+        Err(ended) => match ended.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(_) => Problem::internal().into_response(),
+        },
+    }
+}
+
+/// A request from the question who calls to the line in the audit log.
+async fn guarded(state: AppState, scope: Scope, matched: String, mut request: Request, next: Next) -> Response {
     let address = request.extensions().get::<ClientAddress>().map_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED), |client| client.0);
     let request_id = request.extensions().get::<layers::RequestId>().map(|id| id.0.clone()).unwrap_or_default();
-    let mut deed = Deed::asked(format!("{} {}", request.method(), matched.unwrap_or_default()), address, request_id);
-    deed.jobs.extend(job_of(request.uri().path()));
-    let admitted = admit(&state, request.method(), request.headers(), scope, address, &mut deed).await;
+    let mut deed = Deed::asked(format!("{} {matched}", request.method()), address, request_id);
+    if matched.starts_with("/v1/reconstructions/{id}") {
+        deed.jobs.extend(job_of(&mut request).await);
+    }
+    let elsewhere = from_elsewhere(&request);
+    let admitted = admit(&state, request.method(), request.headers(), elsewhere, scope, address, &mut deed).await;
     let response = match admitted {
         Ok((caller, left)) => {
             if let Some(allowance) = caller.allowance.clone().filter(|_| request.method() == Method::POST) {
@@ -179,6 +205,7 @@ async fn admit(
     state: &AppState,
     method: &Method,
     headers: &HeaderMap,
+    elsewhere: bool,
     scope: Scope,
     address: IpAddr,
     deed: &mut Deed,
@@ -189,7 +216,7 @@ async fn admit(
     if !caller.may(scope) {
         return Err(Refused::Scope(scope));
     }
-    if caller.by_basic && !method.is_safe() && from_elsewhere(headers) {
+    if caller.by_basic && !method.is_safe() && elsewhere {
         return Err(Refused::CrossSite);
     }
     let Some(allowance) = &caller.allowance else { return Ok((caller, None)) };
@@ -207,16 +234,24 @@ async fn admit(
     Ok((caller, left))
 }
 
-/// Whether a browser says that another site's page made it send this (Fetch Metadata). What the browser keeps for Basic goes with such requests
-/// too, so that a page anywhere could delete jobs.
-fn from_elsewhere(headers: &HeaderMap) -> bool {
-    let site = headers.get("sec-fetch-site").map(HeaderValue::as_bytes);
-    site.is_some_and(|site| site != b"same-origin" && site != b"none")
+/// Whether a browser says that another site's page made it send this: by Fetch Metadata, which it sends over TLS and to the machine itself, else by
+/// `Origin`. What the browser keeps for Basic goes with such requests too, so that a page anywhere could submit and delete jobs.
+fn from_elsewhere(request: &Request) -> bool {
+    let headers = request.headers();
+    if let Some(site) = headers.get("sec-fetch-site").map(HeaderValue::as_bytes) {
+        return site != b"same-origin" && site != b"none";
+    }
+    let Some(origin) = headers.get(header::ORIGIN) else { return false };
+    let origin = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, authority)| authority);
+    let named = request.uri().authority().map(Authority::as_str).or_else(|| headers.get(header::HOST)?.to_str().ok());
+    // `null` is nobody's own.
+    !origin.zip(named).is_some_and(|(origin, named)| origin.eq_ignore_ascii_case(named))
 }
 
-/// The job in a path.
-fn job_of(path: &str) -> Option<Uuid> {
-    path.strip_prefix("/v1/reconstructions/")?.split('/').next()?.parse().ok()
+/// The job in a path, as the handler reads it: `%30` is a digit too.
+async fn job_of(request: &mut Request) -> Option<Uuid> {
+    let parameters = request.extract_parts::<RawPathParams>().await.ok()?;
+    parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse().ok())
 }
 
 /// `RateLimit-Policy` and `RateLimit` (draft-ietf-httpapi-ratelimit-headers-10).

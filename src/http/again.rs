@@ -76,8 +76,8 @@ pub(super) async fn again(
     let (rules, owner) = (Rules::of(&state), calling.0.owner.clone());
     let new = state.parse(move |_| new_job(id, owner, kept, &written, idempotency_key, &rules)).await?;
     match state.store.submit(reservation, new).await? {
-        Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, &job)),
-        Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
+        Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, job, &calling)),
+        Submitted::Existing(job) => Ok(located(StatusCode::OK, job, &calling)),
     }
 }
 

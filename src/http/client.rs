@@ -54,11 +54,16 @@ impl Proxies {
             ProxyHeader::XForwardedFor => X_FORWARDED_FOR,
             ProxyHeader::Forwarded => header::FORWARDED,
         };
-        let lines = headers.get_all(name).iter().map(|line| line.to_str().unwrap_or_default());
-        match self.header {
-            ProxyHeader::XForwardedFor => lines.flat_map(|line| line.split(',')).map(address).collect(),
-            ProxyHeader::Forwarded => lines.flat_map(|line| unquoted(line, ',')).map(forwarded_for).collect(),
+        let mut addresses = Vec::new();
+        for line in headers.get_all(name) {
+            // What is no text spoils the element that it is in, not what a proxy wrote behind it.
+            let line = String::from_utf8_lossy(line.as_bytes());
+            match self.header {
+                ProxyHeader::XForwardedFor => addresses.extend(line.split(',').map(address)),
+                ProxyHeader::Forwarded => addresses.extend(elements(&line).into_iter().map(forwarded_for)),
+            }
         }
+        addresses
     }
 }
 
@@ -69,6 +74,16 @@ fn forwarded_for(element: &str) -> Option<IpAddr> {
         name.trim().eq_ignore_ascii_case("for").then_some(value.trim())
     })?;
     address(value.strip_prefix('"').and_then(|value| value.strip_suffix('"')).unwrap_or(value))
+}
+
+/// The elements of a line. Where a quote stays open, it is a client's that would swallow what proxies wrote behind it: there every comma separates.
+fn elements(line: &str) -> Vec<&str> {
+    let (mut quoted, mut escaped) = (false, false);
+    for letter in line.chars() {
+        quoted ^= letter == '"' && !escaped;
+        escaped = letter == '\\' && quoted && !escaped;
+    }
+    if quoted { line.split(',').collect() } else { unquoted(line, ',') }
 }
 
 /// The parts of a text between separators that are not inside of a quoted string.
@@ -94,6 +109,7 @@ fn address(text: &str) -> Option<IpAddr> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::HeaderValue;
 
     /// Whom a request from this peer is from, with these lines of a header.
     fn client(header: ProxyHeader, peer: &str, lines: &[(&'static str, &str)]) -> String {
@@ -135,6 +151,17 @@ mod tests {
         }
         assert_eq!(by_x_forwarded_for("10.0.0.1", &["198.51.100.1, unknown, 10.3.3.3"]), "10.3.3.3");
         assert_eq!(by_x_forwarded_for("10.0.0.1", &[]), "10.0.0.1");
+    }
+
+    #[test]
+    fn what_a_client_spoils_hides_nothing_that_a_proxy_wrote_behind_it() {
+        let headers = HeaderMap::from_iter([(X_FORWARDED_FOR, HeaderValue::from_bytes(b"\xff, 192.0.2.7").unwrap())]);
+        let proxies = Proxies::new(&["10.0.0.0/8".parse().unwrap()], ProxyHeader::XForwardedFor);
+        assert_eq!(proxies.client("10.0.0.1".parse().unwrap(), &headers).0.to_string(), "192.0.2.7");
+        for open in ["for=9.9.9.9;x=\"", "for=9.9.9.9;x=\"\\", "for=\"9.9.9.9\", x=\"\\\""] {
+            assert_eq!(by_forwarded(&format!("{open}, for=192.0.2.7")), "192.0.2.7", "{open}");
+            assert_eq!(by_forwarded(&format!("{open}, for=\"192.0.2.7:5555\";proto=https")), "192.0.2.7", "{open}");
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::{
     wishes::{Rules, Wishes},
 };
 use crate::{
+    access::Scope,
     intake, jobs,
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
     parameters,
@@ -153,8 +154,8 @@ pub(super) async fn submit(
     };
     let new = state.parse(parsing).await?;
     match state.store.submit(reservation, new).await? {
-        Submitted::Created(job) => Ok(accepted(&job)),
-        Submitted::Existing(job) => Ok(located(StatusCode::OK, &job)),
+        Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, job, &calling)),
+        Submitted::Existing(job) => Ok(located(StatusCode::OK, job, &calling)),
     }
 }
 
@@ -220,13 +221,11 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Pro
     key.map(|key| Some(key.to_owned())).ok_or_else(|| Problem::new(StatusCode::BAD_REQUEST, "invalid_idempotency_key", detail))
 }
 
-fn accepted(job: &Job) -> Response {
-    located(StatusCode::ACCEPTED, job)
-}
-
-pub(super) fn located(status: StatusCode, job: &Job) -> Response {
-    let mut response = views::job(status, job);
-    if let Ok(path) = HeaderValue::from_str(&views::path(job)) {
+/// The job that a submission made, or had made before. Whoever may not read is not told what came of it.
+pub(super) fn located(status: StatusCode, job: Job, calling: &Calling) -> Response {
+    let job = if calling.0.may(Scope::Read) { job } else { Job { summary: None, ..job } };
+    let mut response = views::job(status, &job);
+    if let Ok(path) = HeaderValue::from_str(&views::path(&job)) {
         response.headers_mut().insert(header::LOCATION, path);
     }
     response.extensions_mut().insert(About(Arc::new([job.id])));

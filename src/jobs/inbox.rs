@@ -209,12 +209,12 @@ impl Store {
             .collect()
     }
 
-    /// Some of the series of which an instance waits and none came for so long, longest waiting first.
-    pub async fn quiet_series(&self, quiet: Duration) -> Result<Vec<Series>, StoreError> {
+    /// Some of the series of which an instance waits and none came for so long, longest waiting first, without the first so many.
+    pub async fn quiet_series(&self, quiet: Duration, but: usize) -> Result<Vec<Series>, StoreError> {
         let sql = "SELECT owner, study_instance_uid, series_instance_uid FROM instances WHERE job_id IS NULL
             GROUP BY owner, study_instance_uid, series_instance_uid HAVING MAX(received_at) <= {now} - $1
-            ORDER BY MAX(received_at) LIMIT 16";
-        let rows = self.inner.database.fetch(sql, values![milliseconds(quiet)]).await?;
+            ORDER BY MAX(received_at), owner, study_instance_uid, series_instance_uid LIMIT 16 OFFSET $2";
+        let rows = self.inner.database.fetch(sql, values![milliseconds(quiet), but as i64]).await?;
         rows.iter().map(|row| Ok(Series { owner: row.get(0)?, study_uid: row.get(1)?, series_uid: row.get(2)? })).collect()
     }
 

@@ -1,9 +1,13 @@
 //! Keys as an operator has them: made and revoked by `ventricle keys` while a real service runs, with its audit log.
 
-use crate::served::{Answer, Directory, Served, answer, audited};
+use crate::{
+    parted,
+    served::{Answer, Directory, Served, answer, audited},
+};
 use serde_json::{Value, json};
 use std::{
     fs,
+    io::Write as _,
     path::Path,
     process::{Command, Output},
     time::{Duration, Instant},
@@ -156,4 +160,60 @@ fn the_audit_log_tells_which_keys_were_made_and_revoked_and_none_is_made_without
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(said.contains("The audit log") && said.matches("No such file").count() == 1, "{said}");
     assert!(!String::from_utf8(keys(data, &["list"]).stdout).unwrap().contains("others"));
+}
+
+#[test]
+fn what_is_done_for_a_client_that_goes_away_has_its_line_and_so_has_a_job_however_its_id_is_written() {
+    let directory = Directory::new("gone");
+    let log = directory.0.join("audit.jsonl");
+    let service = Served::start(&directory.0, &["--audit-log", log.to_str().unwrap(), "--workers", "1"]);
+    let body = include_bytes!("../../fuzz/corpus/json/u2");
+    let submit = || service.post("application/json", body).json()["id"].as_str().unwrap().to_owned();
+    let host = service.url.strip_prefix("http://").unwrap();
+    let jobs: Vec<String> = (0..20).map(|_| submit()).collect();
+    for (job, wait_us) in jobs.iter().zip((0..).step_by(100)) {
+        service.finished(job, SOON);
+        let mut stream = std::net::TcpStream::connect(host).unwrap();
+        write!(stream, "DELETE /v1/reconstructions/{job} HTTP/1.1\r\nhost: {host}\r\n\r\n").unwrap();
+        std::thread::sleep(Duration::from_micros(wait_us));
+    }
+    let written = jobs[0].replacen('0', "%30", 1);
+    assert_eq!(service.get(&format!("/v1/reconstructions/{written}")).status, 404);
+    let gone: Vec<&String> = jobs.iter().filter(|job| service.get(&format!("/v1/reconstructions/{job}")).status == 404).collect();
+    assert!(!gone.is_empty());
+    let start = Instant::now();
+    let told = |job: &str| {
+        let of_it = |line: &Value| line["what"] == "DELETE /v1/reconstructions/{id}" && line["jobs"] == json!([job]);
+        audited(&log, 1).iter().any(of_it)
+    };
+    while !gone.iter().all(|job| told(job)) {
+        assert!(start.elapsed() < SOON, "{} jobs are gone, not all by a line", gone.len());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let looks = audited(&log, 1).iter().filter(|line| line["status"] == 404 && line["jobs"] == json!([jobs[0]])).count();
+    assert_eq!(looks, 2, "once by each form");
+}
+
+#[test]
+fn whoever_may_only_submit_is_not_told_by_a_repeated_request_what_came_of_it() {
+    let directory = Directory::new("submit-only");
+    let (submits, _) = add(&directory.0, &["--owner", "ours", "--scope", "submit"]);
+    let (reads, _) = add(&directory.0, &["--owner", "ours"]);
+    let service = Served::start(&directory.0, &["--workers", "1"]);
+    let study = parted::whole(9);
+    let post = |key: &str| {
+        let request =
+            ureq::post(format!("{}/v1/reconstructions?mesh.level=2", service.url)).header("authorization", format!("Bearer {key}"));
+        let request = request.header("content-type", "application/dicom").header("idempotency-key", "once");
+        answer(request.send(&study[..]).unwrap()).json()
+    };
+    let job = post(&submits)["id"].as_str().unwrap().to_owned();
+    let path = format!("/v1/reconstructions/{job}");
+    let start = Instant::now();
+    while !["succeeded", "failed"].contains(&ask(&service, "GET", &path, &reads).json()["state"].as_str().unwrap()) {
+        assert!(start.elapsed() < Duration::from_mins(1));
+    }
+    assert_eq!(ask(&service, "GET", &path, &reads).json()["state"], "succeeded");
+    assert!(post(&submits)["summary"].is_null());
+    assert!(post(&reads)["summary"].is_object());
 }

@@ -242,6 +242,16 @@ async fn pages_of_other_sites_cannot_use_what_a_browser_keeps() {
     let path = guarded.finished(2, &key).await;
     let answer = guarded.service.call("DELETE", &path, &[("authorization", &basic), ("sec-fetch-site", "same-origin")]).await;
     assert_eq!(answer.status, 204);
+    // Where nothing is encrypted browsers send `Origin` alone.
+    let path = guarded.finished(3, &key).await;
+    let delete = async |origin: &str| {
+        let headers = [("authorization", basic.as_str()), ("host", "spect.example:8080"), ("origin", origin)];
+        guarded.service.call("DELETE", &path, &headers).await
+    };
+    for elsewhere in ["http://evil.example", "http://spect.example", "null"] {
+        delete(elsewhere).await.problem(403, "cross_site_request");
+    }
+    assert_eq!(delete("http://spect.example:8080").await.status, 204);
 }
 
 #[tokio::test]
