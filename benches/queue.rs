@@ -111,6 +111,7 @@ impl Drop for Node {
 
 fn job(study: &Study) -> NewJob {
     NewJob {
+        most_queued: None,
         owner: "bench".into(),
         idempotency_key: None,
         request_hash: [0; 32],

@@ -13,11 +13,14 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
+use tokio::time::timeout;
 
 /// Keys are fetched again after this time, when one is needed.
 const FRESH: Duration = Duration::from_mins(10);
 /// A token with a key that is not known makes them be fetched again, but not more often than this: such tokens can be made by anybody.
 const PAUSE: Duration = Duration::from_secs(10);
+/// Longest that a request waits for the provider.
+const PATIENCE: Duration = Duration::from_secs(5);
 /// Keys that cannot be fetched again serve for so long.
 const STALE: Duration = Duration::from_hours(24);
 /// Most keys of a provider that are looked at.
@@ -90,11 +93,15 @@ impl Issuer {
             }
             return Ok(key);
         }
-        // Whoever comes meanwhile waits for the same answer instead of asking too.
-        let _asking = self.asking.lock().await;
-        if self.known(header).is_none() && self.may_ask() {
-            self.refresh().await;
-        }
+        // Whoever comes meanwhile waits for the same answer instead of asking too. What comes later than anybody waits is there for the next.
+        let (issuer, wanted) = (Arc::clone(self), header.clone());
+        let asked = tokio::spawn(async move {
+            let _asking = issuer.asking.lock().await;
+            if issuer.known(&wanted).is_none() && issuer.may_ask() {
+                issuer.refresh().await;
+            }
+        });
+        let _ = timeout(PATIENCE, asked).await;
         match self.known(header) {
             Some((key, _)) => Ok(key),
             None if self.published().fetched.is_some_and(|at| at.elapsed() < STALE) => Err(TokenError::UnknownKey),

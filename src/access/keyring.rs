@@ -157,6 +157,13 @@ impl Keyring {
         self.loaded.read().unwrap_or_else(PoisonError::into_inner).keys.get(id).cloned()
     }
 
+    /// The records of an owner that are valid, by their names.
+    pub(super) fn records_of(&self, owner: &str) -> Vec<Arc<KeyRecord>> {
+        let loaded = self.loaded.read().unwrap_or_else(PoisonError::into_inner);
+        let now = Timestamp::now();
+        loaded.keys.values().filter(|record| record.owner == owner && !record.has_expired(now)).cloned().collect()
+    }
+
     /// The record of a key. It takes as long for a wrong secret as for a right one, and for a name that is unknown.
     pub(super) fn find(&self, text: &str) -> Option<Arc<KeyRecord>> {
         let (id, digest) = key::taken_apart(text)?;

@@ -12,7 +12,7 @@ use jiff::Timestamp;
 use std::{
     collections::HashMap,
     num::NonZeroU32,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
 /// Seconds of requests that may come at once.
@@ -33,6 +33,17 @@ pub struct Standing {
     pub queued_jobs: Option<u64>,
 }
 
+impl Standing {
+    /// As a key has it that wishes so.
+    fn with(&self, wished: &Wished) -> Self {
+        Self {
+            requests_per_second: wished.requests_per_second.map_or(self.requests_per_second, NonZeroU32::new),
+            bytes_per_day: wished.mb_per_day.map_or(self.bytes_per_day, |mb| Some(mb << 20).filter(|&bytes| bytes > 0)),
+            queued_jobs: wished.queued_jobs.map_or(self.queued_jobs, |jobs| Some(jobs).filter(|&jobs| jobs > 0)),
+        }
+    }
+}
+
 /// What is used by all callers.
 #[derive(Default)]
 pub struct Allowances {
@@ -46,13 +57,15 @@ impl Allowances {
         Self { standing, callers: Mutex::default() }
     }
 
+    /// Most jobs that may wait of an owner with keys of these limits, of which the most generous counts; `None`: as many as come.
+    pub(super) fn queued_jobs<'a>(&self, keys: impl IntoIterator<Item = &'a Wished>) -> Option<u64> {
+        let limits: Vec<Option<u64>> = keys.into_iter().map(|wished| self.standing.with(wished).queued_jobs).collect();
+        if limits.is_empty() { self.standing.queued_jobs } else { limits.into_iter().collect::<Option<Vec<_>>>()?.into_iter().max() }
+    }
+
     /// That of a caller, which keeps what it has used until its limits are others.
     pub(super) fn of(&self, caller: &str, wished: &Wished) -> Arc<Allowance> {
-        let standing = Standing {
-            requests_per_second: wished.requests_per_second.map_or(self.standing.requests_per_second, NonZeroU32::new),
-            bytes_per_day: wished.mb_per_day.map_or(self.standing.bytes_per_day, |mb| Some(mb << 20).filter(|&bytes| bytes > 0)),
-            queued_jobs: wished.queued_jobs.map_or(self.standing.queued_jobs, |jobs| Some(jobs).filter(|&jobs| jobs > 0)),
-        };
+        let standing = self.standing.with(wished);
         let mut callers = self.callers.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = callers.get(caller).filter(|known| known.is_of(&standing)) {
             return Arc::clone(known);
@@ -122,21 +135,21 @@ pub enum OverLimit {
         /// Seconds to midnight.
         retry_after_s: u64,
     },
-    /// Jobs.
-    #[error("{waiting} jobs of this owner wait already, as many as may. Send the request again when some are done.")]
-    Jobs {
-        /// How many wait.
-        waiting: u64,
-        /// Seconds to wait.
-        retry_after_s: u64,
-    },
 }
 
 impl OverLimit {
+    /// The stable code of the problem.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Requests { .. } => "too_many_requests",
+            Self::Bytes { .. } => "too_many_bytes",
+        }
+    }
+
     /// Seconds to wait.
     pub fn retry_after_s(&self) -> u64 {
         match self {
-            Self::Requests { retry_after_s, .. } | Self::Bytes { retry_after_s, .. } | Self::Jobs { retry_after_s, .. } => *retry_after_s,
+            Self::Requests { retry_after_s, .. } | Self::Bytes { retry_after_s, .. } => *retry_after_s,
         }
     }
 }
@@ -174,25 +187,18 @@ impl Allowance {
         }
     }
 
-    /// Whether a body of so many bytes, as announced, fits into the day.
+    /// Takes what a body announces out of the day; `None` where bytes are not counted.
     ///
     /// # Errors
-    /// It does not.
-    pub fn room(&self, bytes: u64, now: Timestamp) -> Result<(), OverLimit> {
-        let Some(allowed) = self.standing.bytes_per_day else { return Ok(()) };
-        let used = self.today(now, 0);
-        if used < allowed && bytes <= allowed - used {
-            return Ok(());
+    /// It does not fit.
+    pub fn body(self: &Arc<Self>, announced: u64, now: Timestamp) -> Result<Option<DayBytes>, OverLimit> {
+        let Some(allowed) = self.standing.bytes_per_day else { return Ok(None) };
+        let mut today = self.today(now);
+        if today.bytes >= allowed || announced > allowed - today.bytes {
+            return Err(over(today.bytes, allowed, now));
         }
-        let retry_after_s = (DAY_S - now.as_second().rem_euclid(DAY_S)) as u64;
-        Err(OverLimit::Bytes { used_mb: used.div_ceil(1 << 20), allowed_mb: allowed >> 20, retry_after_s })
-    }
-
-    /// Counts bytes that came.
-    pub fn received(&self, bytes: u64, now: Timestamp) {
-        if self.standing.bytes_per_day.is_some() {
-            self.today(now, bytes);
-        }
+        today.bytes += announced;
+        Ok(Some(DayBytes { allowance: Arc::clone(self), day: today.number, announced }))
     }
 
     /// Most jobs of the owner that may wait, if that is limited.
@@ -200,15 +206,52 @@ impl Allowance {
         self.standing.queued_jobs
     }
 
-    /// The bytes of the day with these.
-    fn today(&self, now: Timestamp, more: u64) -> u64 {
+    /// The day and what was used of it.
+    fn today(&self, now: Timestamp) -> MutexGuard<'_, Day> {
         let mut today = self.today.lock().unwrap_or_else(PoisonError::into_inner);
         let number = now.as_second().div_euclid(DAY_S);
         if today.number != number {
             *today = Day { number, bytes: 0 };
         }
-        today.bytes = today.bytes.saturating_add(more);
-        today.bytes
+        today
+    }
+}
+
+fn over(used: u64, allowed: u64, now: Timestamp) -> OverLimit {
+    let retry_after_s = (DAY_S - now.as_second().rem_euclid(DAY_S)) as u64;
+    OverLimit::Bytes { used_mb: used.div_ceil(1 << 20), allowed_mb: allowed >> 20, retry_after_s }
+}
+
+/// What one body has of the day. What was announced and did not come is given back when this is dropped.
+#[derive(Debug)]
+pub struct DayBytes {
+    allowance: Arc<Allowance>,
+    day: i64,
+    /// Announced bytes that did not come yet.
+    announced: u64,
+}
+
+impl DayBytes {
+    /// Counts bytes that came.
+    ///
+    /// # Errors
+    /// They were not announced, and are more than the day has left.
+    pub fn came(&mut self, bytes: u64, now: Timestamp) -> Result<(), OverLimit> {
+        let covered = bytes.min(self.announced);
+        self.announced -= covered;
+        let Some(allowed) = self.allowance.standing.bytes_per_day.filter(|_| covered < bytes) else { return Ok(()) };
+        let mut today = self.allowance.today(now);
+        today.bytes = today.bytes.saturating_add(bytes - covered);
+        if today.bytes > allowed { Err(over(today.bytes, allowed, now)) } else { Ok(()) }
+    }
+}
+
+impl Drop for DayBytes {
+    fn drop(&mut self) {
+        let mut today = self.allowance.today.lock().unwrap_or_else(PoisonError::into_inner);
+        if today.number == self.day {
+            today.bytes = today.bytes.saturating_sub(self.announced);
+        }
     }
 }
 
@@ -234,16 +277,36 @@ mod tests {
     }
 
     #[test]
+    fn the_most_generous_key_of_an_owner_says_how_many_jobs_may_wait() {
+        let all = Allowances::new(Standing { queued_jobs: Some(5), ..Standing::default() });
+        let [little, much, all_of_them] = [Some(1), Some(9), Some(0)].map(|queued_jobs| Wished { queued_jobs, ..Wished::default() });
+        assert_eq!(all.queued_jobs([]), Some(5), "who has no key, as who comes by a token or an association");
+        assert_eq!(all.queued_jobs([&little]), Some(1));
+        assert_eq!(all.queued_jobs([&little, &Wished::default()]), Some(5));
+        assert_eq!(all.queued_jobs([&little, &much]), Some(9));
+        assert_eq!(all.queued_jobs([&much, &all_of_them]), None);
+    }
+
+    #[test]
     fn bytes_are_counted_by_the_day() {
         let all = Allowances::new(standing());
         let one = all.of("key 1", &Wished::default());
         let evening: Timestamp = "2026-03-01T23:59:00Z".parse().unwrap();
-        assert_eq!(one.room(10 << 20, evening), Ok(()));
-        one.received(6 << 20, evening);
-        assert_eq!(one.room(4 << 20, evening), Ok(()));
-        assert_eq!(one.room(5 << 20, evening), Err(OverLimit::Bytes { used_mb: 6, allowed_mb: 10, retry_after_s: 60 }));
-        assert_eq!(one.room(5 << 20, "2026-03-02T00:00:00Z".parse().unwrap()), Ok(()));
+        let mut six = one.body(6 << 20, evening).unwrap().unwrap();
+        assert_eq!(one.body(5 << 20, evening).unwrap_err(), OverLimit::Bytes { used_mb: 6, allowed_mb: 10, retry_after_s: 60 });
+        let four = one.body(4 << 20, evening).unwrap().unwrap();
+        assert!(one.body(0, evening).is_err(), "all of it is announced");
+        six.came(5 << 20, evening).unwrap();
+        drop((six, four));
+        // Five of them came. Of what does not say how long it is, only so much is let in as fits.
+        let mut chunks = one.body(0, evening).unwrap().unwrap();
+        chunks.came(5 << 20, evening).unwrap();
+        assert_eq!(chunks.came(1, evening).unwrap_err(), OverLimit::Bytes { used_mb: 11, allowed_mb: 10, retry_after_s: 60 });
+        let next_day: Timestamp = "2026-03-02T00:00:00Z".parse().unwrap();
+        drop(one.body(5 << 20, next_day).unwrap());
+        drop(chunks);
+        assert!(one.body(10 << 20, next_day).is_ok(), "yesterday's is not given back today");
         let small = all.of("key 1", &Wished { mb_per_day: Some(1), ..Wished::default() });
-        assert!(small.room(2 << 20, evening).is_err(), "a changed key has its new limit at once");
+        assert!(small.body(2 << 20, evening).is_err(), "a changed key has its new limit at once");
     }
 }

@@ -19,7 +19,7 @@ pub use authorization::{Presented, Unreadable};
 pub use issuer::{Fetch, Issuer, IssuerSettings};
 pub use key::Made;
 pub use keyring::{KeyRecord, Keyring, KeyringError, Wished, add, list, revoke};
-pub use limits::{Allowance, Allowances, Left, OverLimit, Standing};
+pub use limits::{Allowance, Allowances, DayBytes, Left, OverLimit, Standing};
 pub use token::{Expected, TokenError};
 
 use crate::jobs::ANONYMOUS;
@@ -114,6 +114,11 @@ impl Caller {
         (!self.sees_all).then_some(self.owner.as_str())
     }
 
+    /// Most jobs of its owner that may wait; `None`: as many as come.
+    pub fn queued_jobs(&self) -> Option<u64> {
+        self.allowance.as_ref().and_then(|allowance| allowance.queued_jobs())
+    }
+
     /// Whether it may do what needs a scope.
     pub fn may(&self, needed: Scope) -> bool {
         self.scopes.iter().any(|&scope| scope == needed || scope == Scope::Admin)
@@ -176,6 +181,15 @@ impl Access {
     /// Whether anybody may come in.
     pub fn is_open(&self) -> bool {
         self.keyring.is_none() && self.issuer.is_none()
+    }
+
+    /// Most jobs of an owner that may wait, for what no single caller asks for; `None`: as many as come.
+    pub fn queued_jobs_of(&self, owner: &str) -> Option<u64> {
+        if self.is_open() {
+            return None;
+        }
+        let records = self.keyring.as_ref().map(|ring| ring.records_of(owner)).unwrap_or_default();
+        self.allowances.queued_jobs(records.iter().map(|record| &record.limits))
     }
 
     /// Reads the keys again if their file is another; returns whether it was.

@@ -12,7 +12,7 @@ pub use parsers::{NotParsed, Parsers};
 pub use reception::{MOST_WAITING_BYTES, Outcome, Received, Reception, Refusal, Way};
 
 use crate::{
-    access::Audit,
+    access::{Access, Audit},
     intake::{self, IntakeError},
     jobs::{NewJob, Store, StoreError},
     pipeline::parameters::Parameters,
@@ -30,6 +30,7 @@ pub struct Assembler {
     store: Store,
     settings: Arc<Settings>,
     parsers: Parsers,
+    access: Arc<Access>,
 }
 
 /// How studies are put together.
@@ -56,14 +57,19 @@ impl Drop for Watch {
 }
 
 impl Assembler {
-    /// Parsing is done by these.
-    pub fn new(store: Store, settings: Settings, parsers: Parsers) -> Self {
-        Self { store, settings: Arc::new(settings), parsers }
+    /// Parsing is done by these, and `access` knows how many jobs of an owner may wait.
+    pub fn new(store: Store, settings: Settings, parsers: Parsers, access: Arc<Access>) -> Self {
+        Self { store, settings: Arc::new(settings), parsers, access }
     }
 
-    /// Begins to receive instances of an owner; only of one study, if that is said.
-    pub fn reception(&self, owner: &str, way: Way, study_uid: Option<String>) -> Reception {
-        Reception::new(self.clone(), owner, way, study_uid)
+    /// Begins to receive instances of an owner of whom so many jobs may wait; only of one study, if that is said.
+    pub fn reception(&self, (owner, most_queued): (&str, Option<u64>), way: Way, study_uid: Option<String>) -> Reception {
+        Reception::new(self.clone(), (owner.to_owned(), most_queued), way, study_uid)
+    }
+
+    /// Likewise, where no caller has a limit of its own.
+    pub fn reception_of(&self, owner: &str, way: Way) -> Reception {
+        self.reception((owner, self.access.queued_jobs_of(owner)), way, None)
     }
 
     /// Starts looking for series that went quiet. What becomes of them is told to the audit log, if there is one: no request has it in its line.
@@ -88,9 +94,16 @@ impl Assembler {
     }
 
     /// A job for a study, with the parameters of a request that says nothing.
-    fn new_job(&self, owner: &str, idempotency_key: Option<String>, received: intake::Received, request_hash: [u8; 32]) -> NewJob {
+    fn new_job(
+        &self,
+        (owner, most_queued): (&str, Option<u64>),
+        idempotency_key: Option<String>,
+        received: intake::Received,
+        request_hash: [u8; 32],
+    ) -> NewJob {
         NewJob {
             owner: owner.to_owned(),
+            most_queued,
             idempotency_key,
             request_hash,
             study: received.study,

@@ -3,7 +3,7 @@
 use super::{Assembler, Settings, digest, read};
 use crate::{
     intake::{self, Holds, Instance, IntakeError},
-    jobs::{Filed, Members, NewInstance, QueueFull, Series, StoreError, SubmitError, Submitted},
+    jobs::{Filed, Members, NewInstance, Series, StoreError, SubmitError, Submitted},
     study::Study,
 };
 use sha2::{Digest as _, Sha256};
@@ -79,9 +79,13 @@ impl Refusal {
             },
             Self::OtherStudy => 0xA900,
             Self::Submit(SubmitError::InstanceConflict | SubmitError::KeyReused) => 0x0110,
-            Self::Submit(SubmitError::QueueFull(_) | SubmitError::TooLarge { .. } | SubmitError::InstancesGone | SubmitError::Store(_)) => {
-                0xA700
-            }
+            Self::Submit(
+                SubmitError::QueueFull(_)
+                | SubmitError::OwnerFull(_)
+                | SubmitError::TooLarge { .. }
+                | SubmitError::InstancesGone
+                | SubmitError::Store(_),
+            ) => 0xA700,
         }
     }
 
@@ -94,9 +98,13 @@ impl Refusal {
         }
     }
 
-    /// When there may be room, if that is what was missing.
-    pub fn queue_full(&self) -> Option<QueueFull> {
-        if let Self::Submit(SubmitError::QueueFull(full)) = self { Some(*full) } else { None }
+    /// Which room was missing, if it was only that: there may be some later.
+    pub fn no_room(&self) -> Option<SubmitError> {
+        match self {
+            Self::Submit(SubmitError::QueueFull(full)) => Some((*full).into()),
+            Self::Submit(SubmitError::OwnerFull(full)) => Some((*full).into()),
+            _ => None,
+        }
     }
 }
 
@@ -116,7 +124,9 @@ pub struct Received {
 /// Receives instances one after the other.
 pub struct Reception {
     assembler: Assembler,
+    /// Whose they are, and how many of its jobs may wait.
     owner: String,
+    most_queued: Option<u64>,
     way: Way,
     study_uid: Option<String>,
     outcomes: Vec<Outcome>,
@@ -137,10 +147,11 @@ struct Examined {
 }
 
 impl Reception {
-    pub(super) fn new(assembler: Assembler, owner: &str, way: Way, study_uid: Option<String>) -> Self {
+    pub(super) fn new(assembler: Assembler, (owner, most_queued): (String, Option<u64>), way: Way, study_uid: Option<String>) -> Self {
         Self {
             assembler,
-            owner: owner.to_owned(),
+            owner,
+            most_queued,
             way,
             study_uid,
             outcomes: Vec::new(),
@@ -206,7 +217,7 @@ impl Reception {
     async fn submit(&mut self, study: intake::Received, instance: NewInstance) -> Result<&'static str, Refusal> {
         let store = &self.assembler.store;
         let reservation = store.reserve(instance.data.len() as u64).map_err(SubmitError::from)?;
-        let new = self.assembler.new_job(&self.owner, None, study, digest([&instance.identity]));
+        let new = self.assembler.new_job((&self.owner, self.most_queued), None, study, digest([&instance.identity]));
         let submitted = store.submit_assembled(reservation, new, Members::Whole(instance)).await?;
         self.jobs.push(submitted.job().id);
         Ok(if matches!(submitted, Submitted::Created(_)) { "study" } else { "known" })

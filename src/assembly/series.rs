@@ -57,15 +57,11 @@ impl Assembler {
             }
             for series in quiet {
                 let parts = self.store.series(&series).await?;
-                match self.assemble(&series, &parts, !complete(&parts)).await {
-                    Ok(Some(Assembled { job, new: true, failed })) => {
-                        if let Some(audit) = audit {
-                            audit.tell(Deed { owner: Some(series.owner), jobs: vec![job], refused: failed, ..Deed::now("assembly") }).await;
-                        }
-                    }
-                    Ok(_) => {}
+                match self.assemble_unasked(series, &parts, audit).await {
+                    Ok(()) => {}
                     // It waits on disk until there is room.
                     Err(AssemblyError::Submit(SubmitError::QueueFull(_))) => return Ok(()),
+                    Err(AssemblyError::Submit(SubmitError::OwnerFull(_))) => left += 1,
                     Err(AssemblyError::Submit(SubmitError::Store(error)) | AssemblyError::Store(error)) if error.is_passing() => {
                         return Err(error.into());
                     }
@@ -80,15 +76,29 @@ impl Assembler {
         Ok(())
     }
 
+    /// Makes a job of a series as it is, and tells the audit log, as no request does.
+    async fn assemble_unasked(&self, series: Series, parts: &[StoredInstance], audit: Option<&Audit>) -> Result<(), AssemblyError> {
+        let assembled = self.assemble(&series, parts, !complete(parts)).await?;
+        if let (Some(Assembled { job, new: true, failed }), Some(audit)) = (assembled, audit) {
+            audit.tell(Deed { owner: Some(series.owner), jobs: vec![job], refused: failed, ..Deed::now("assembly") }).await;
+        }
+        Ok(())
+    }
+
     async fn assemble(&self, series: &Series, parts: &[StoredInstance], keep: bool) -> Result<Option<Assembled>, AssemblyError> {
         let identity = digest(parts.iter().flat_map(|part| [&part.instance_uid, &part.sha256]));
         let key = key(identity);
         let instance_uids: Vec<String> = parts.iter().map(|part| part.instance_uid.clone()).collect();
         // Its bytes are known, and judged, when it is stored.
         let reservation = self.store.reserve(0).map_err(SubmitError::from)?;
+        let most_queued = self.access.queued_jobs_of(&series.owner);
+        if let Some(most) = most_queued {
+            // Before it is read: it may wait for long.
+            self.store.admits(&series.owner, most).await?;
+        }
         let error = match self.read_series(series, parts).await? {
             Ok(study) => {
-                let new = self.new_job(&series.owner, Some(key.clone()), study, identity);
+                let new = self.new_job((&series.owner, most_queued), Some(key.clone()), study, identity);
                 let members = Members::Filed { instance_uids: instance_uids.clone(), keep };
                 match self.store.submit_assembled(reservation, new, members).await {
                     // It would wait for room for ever.
@@ -105,7 +115,7 @@ impl Assembler {
             Err(error) => JobError { code: error.code().to_owned(), message: sentence(&error.to_string()) },
         };
         tracing::info!(code = error.code, "the instances of a series make no study");
-        let failed = self.store.fail_assembly(series, &key, instance_uids, &error, self.settings.callback_url.clone()).await?;
+        let failed = self.store.fail_assembly(series, (&key, identity), instance_uids, &error, self.settings.callback_url.clone()).await?;
         Ok(failed.map(|job| Assembled { job: job.id, new: true, failed: Some(error.code) }))
     }
 

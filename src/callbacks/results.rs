@@ -35,8 +35,8 @@ pub struct Results {
     pub document: Document,
     /// Our own AE title.
     pub calling: Title,
-    /// The header Authorization of STOW-RS.
-    pub authorization: Option<String>,
+    /// The header Authorization of STOW-RS, and the URL that it is for: results that wait since the receiver was another one go without.
+    pub authorization: Option<(String, String)>,
 }
 
 /// Why a result is not known to have arrived. Nothing here holds the URL's path or query.
@@ -73,12 +73,16 @@ impl ResultError {
 }
 
 impl Results {
+    fn authorization_for(&self, url: &str) -> Option<&str> {
+        self.authorization.as_ref().filter(|(own, _)| own == url).map(|(_, value)| value.as_str())
+    }
+
     /// Sends the result of a job once.
     pub(super) async fn send(&self, sender: &Sender, store: &Store, job: Uuid, url: &str) -> Result<(), ResultError> {
         let destination = Destination::parse(url, sender.allowed())?;
         let document = (self.document)(store.clone(), job).await.map_err(ResultError::Document)?;
         match destination {
-            Destination::Stow(_) => stow(sender, url, &document, self.authorization.as_deref()).await,
+            Destination::Stow(_) => stow(sender, url, &document, self.authorization_for(url)).await,
             Destination::Store { called, target } => {
                 let sending = async {
                     let stream = sender.connect(&target).await?;

@@ -1,5 +1,6 @@
 //! Settings of who may come in, and of how much each may use.
 
+use super::hosts::{Hosts, host};
 use crate::access::{Attempts, Expected, IssuerSettings, Standing};
 use clap::{Args, builder::BoolishValueParser};
 use std::{
@@ -24,6 +25,12 @@ pub struct AccessSettings {
     /// and without an OpenID provider.
     #[arg(long, env = "VENTRICLE_INSECURE_NO_AUTH", value_parser = BoolishValueParser::new())]
     pub insecure_no_auth: bool,
+
+    /// Names, without port, under which a service that asks nobody who he is is called beside those of its own machine (`localhost`, `127.0.0.1`,
+    /// `[::1]`), separated by commas, as of a proxy before it; `*` for any. Not looked at where there are keys or a provider [default: none; any with
+    /// `--insecure-no-auth` beyond loopback].
+    #[arg(long, env = "VENTRICLE_ALLOWED_HOST", value_delimiter = ',', value_parser = host)]
+    pub allowed_host: Vec<String>,
 
     /// OpenID provider whose tokens are accepted, as their claim `iss` has it: `https://login.example/realms/hospital`.
     #[arg(long, env = "VENTRICLE_OIDC_ISSUER", requires = "oidc_audience")]
@@ -110,6 +117,15 @@ impl AccessSettings {
     /// The file of keys that is used, if there is one.
     pub fn keys_file(&self, data_dir: &Path) -> Option<PathBuf> {
         self.keys_file.clone().or_else(|| Some(default_keys_file(data_dir)).filter(|path| path.exists()))
+    }
+
+    /// The names under which the service is called, if it asks nobody and listens there.
+    pub fn hosts(&self, listen: SocketAddr) -> Hosts {
+        // Beyond loopback the names are the network's, which only the operator knows.
+        if self.allowed_host.iter().any(|host| host == "*") || (self.allowed_host.is_empty() && !listen.ip().is_loopback()) {
+            return Hosts::Any;
+        }
+        Hosts::Own(self.allowed_host.clone())
     }
 
     /// Checks what no single setting can say.

@@ -3,6 +3,7 @@
 mod access;
 mod dimse;
 mod error;
+mod hosts;
 mod outward;
 mod secret;
 mod traces;
@@ -11,6 +12,7 @@ mod transport;
 pub use access::{AccessError, AccessSettings, default_keys_file};
 pub use dimse::DimseSettings;
 pub use error::ConfigError;
+pub use hosts::Hosts;
 pub use outward::OutwardSettings;
 pub use secret::Secret;
 pub use traces::TraceSettings;
@@ -115,7 +117,8 @@ pub struct ServeSettings {
     #[arg(long, env = "VENTRICLE_MAX_RETENTION_HOURS", default_value = "8760", value_parser = clap::value_parser!(u64).range(1..=LONGEST_RETENTION_HOURS))]
     pub max_retention_hours: u64,
 
-    /// Seconds a request body may take to arrive; then 408.
+    /// Seconds a request body may take to arrive; then 408. One with DICOM instances may take as long again for each `--max-body-mb` of it that
+    /// came. 30 s without a byte are too long for any.
     #[arg(long, env = "VENTRICLE_UPLOAD_SECONDS", default_value = "120", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub upload_seconds: u64,
 
@@ -305,6 +308,20 @@ mod tests {
         assert!(error.to_string().contains("--insecure-no-auth"), "{error}");
         settings(&["--listen", "[::]:8080", "--insecure-no-auth"]).validate().unwrap();
         settings(&["--listen", "[::1]:8080"]).validate().unwrap();
+    }
+
+    #[test]
+    fn an_open_service_on_loopback_is_called_by_names_of_its_machine() {
+        let hosts = |flags: &[&str]| {
+            let settings = settings(flags);
+            settings.access.hosts(settings.listen)
+        };
+        assert_eq!(hosts(&[]), Hosts::Own(vec![]));
+        assert_eq!(hosts(&["--allowed-host", "a.example,b.example"]), Hosts::Own(vec!["a.example".into(), "b.example".into()]));
+        assert_eq!(hosts(&["--allowed-host", "*"]), Hosts::Any);
+        assert_eq!(hosts(&["--listen", "0.0.0.0:80", "--insecure-no-auth"]), Hosts::Any);
+        let named = ["--listen", "0.0.0.0:80", "--insecure-no-auth", "--allowed-host", "a.example"];
+        assert_eq!(hosts(&named), Hosts::Own(vec!["a.example".into()]));
     }
 
     #[test]

@@ -37,12 +37,12 @@ pub struct TransportSettings {
     #[arg(long, env = "VENTRICLE_MAX_CONNECTIONS_PER_CLIENT", default_value = "1024", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub max_connections_per_client: u32,
 
-    /// Request bodies with studies that are received and parsed at once. As many again wait up to 10 s; more are answered 503 with
-    /// `Retry-After`.
+    /// Request bodies with studies that are received and parsed at once, of one owner at most half of them. As many again wait up to 10 s; more
+    /// are answered 503 with `Retry-After`.
     #[arg(long, env = "VENTRICLE_MAX_UPLOADS", default_value = "64", value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub max_uploads: u32,
 
-    /// MiB that such bodies may take of the memory. Each has its place before it is read; one that finds none waits up to 10 s and is then
+    /// MiB that such bodies may take of the memory, those of one owner at most half. Each has its place before it is read; one that finds none waits up to 10 s and is then
     /// answered 503 with `Retry-After`.
     #[arg(long, env = "VENTRICLE_MAX_UPLOAD_MEMORY_MB", default_value = "512", value_parser = clap::value_parser!(u64).range(1..=1_048_576))]
     pub max_upload_memory_mb: u64,

@@ -226,7 +226,7 @@ impl<'a, S: Stream> Association<'a, S> {
 
     /// Stores what was received.
     async fn commit(&self, object: Object) -> Stored {
-        let mut reception = self.shared.assembler.reception(&self.shared.settings.owner, Way::Dimse, None);
+        let mut reception = self.shared.assembler.reception_of(&self.shared.settings.owner, Way::Dimse);
         reception.take(object.whole()).await;
         let Received { outcomes, jobs } = reception.end().await;
         match outcomes.into_iter().next().map(|outcome| outcome.result) {

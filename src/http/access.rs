@@ -1,19 +1,19 @@
 //! Who may call which route, asked before any handler: what each route needs, and what is answered to whom it is refused.
 
-use super::{AppState, body, client::ClientAddress, layers, problem::Problem};
+use super::{AppState, body, client::ClientAddress, layers, problem::Problem, site};
 use crate::{
-    access::{Caller, Deed, Left, OverLimit, Refusal, Scope, TokenError},
+    access::{Caller, DayBytes, Deed, Left, OverLimit, Refusal, Scope, TokenError},
     traces,
 };
 use axum::{
-    RequestExt as _,
+    BoxError, RequestExt as _,
     body::Body,
     extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State},
-    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header, request::Parts, uri::Authority},
+    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header, request::Parts},
     middleware::Next,
     response::{IntoResponse, Response},
 };
-use http_body_util::BodyExt as _;
+use futures_util::StreamExt as _;
 use jiff::Timestamp;
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -165,17 +165,11 @@ async fn guarded(state: AppState, scope: Scope, matched: String, mut request: Re
     if matched.starts_with("/v1/reconstructions/{id}") {
         deed.jobs.extend(job_of(&mut request).await);
     }
-    let elsewhere = from_elsewhere(&request);
-    let admitted = admit(&state, request.method(), request.headers(), elsewhere, scope, address, &mut deed).await;
+    let admitted = admit(&state, request.method(), request.uri(), request.headers(), scope, address, &mut deed).await;
     let response = match admitted {
-        Ok((caller, left)) => {
-            if let Some(allowance) = caller.allowance.clone().filter(|_| request.method() == Method::POST) {
-                request = request.map(|body| {
-                    Body::new(body.map_frame(move |frame| {
-                        allowance.received(frame.data_ref().map_or(0, |data| data.len() as u64), Timestamp::now());
-                        frame
-                    }))
-                });
+        Ok(Admitted { caller, left, day }) => {
+            if let Some(day) = day {
+                request = request.map(|body| counted(body, day));
             }
             request.extensions_mut().insert(Arc::new(caller));
             let mut response = next.run(request).await;
@@ -200,52 +194,58 @@ async fn guarded(state: AppState, scope: Scope, matched: String, mut request: Re
     response
 }
 
-/// Who calls, and what is left of its requests.
+/// Who was let in, what is left of its requests, and what its body takes of the day.
+struct Admitted {
+    caller: Caller,
+    left: Option<Left>,
+    day: Option<DayBytes>,
+}
+
+/// Looks at all that the head of a request decides: who calls, from whose page, whether it may, and within which limits.
 async fn admit(
     state: &AppState,
     method: &Method,
+    uri: &Uri,
     headers: &HeaderMap,
-    elsewhere: bool,
     scope: Scope,
     address: IpAddr,
     deed: &mut Deed,
-) -> Result<(Caller, Option<Left>), Refused> {
+) -> Result<Admitted, Refused> {
+    if state.access.is_open() {
+        site::admit(&state.hosts, &state.cors, method, uri, headers)?;
+    }
     let authorization = headers.get(header::AUTHORIZATION).map(HeaderValue::as_bytes);
     let caller = state.access.admit(authorization, address).await?;
     (deed.owner, deed.who) = (Some(caller.owner.clone()), Some(caller.known_as.clone()));
     if !caller.may(scope) {
         return Err(Refused::Scope(scope));
     }
-    if caller.by_basic && !method.is_safe() && elsewhere {
+    if caller.by_basic && !method.is_safe() && site::from_elsewhere(uri, headers) {
         return Err(Refused::CrossSite);
     }
-    let Some(allowance) = &caller.allowance else { return Ok((caller, None)) };
+    let Some(allowance) = &caller.allowance else { return Ok(Admitted { caller, left: None, day: None }) };
     let left = allowance.request()?;
+    let mut day = None;
     if method == Method::POST {
         let announced = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok()).unwrap_or(0);
-        allowance.room(announced, Timestamp::now())?;
+        day = allowance.body(announced, Timestamp::now())?;
         if let Some(most) = allowance.queued_jobs() {
-            let waiting = state.store.queued_of(&caller.owner).await.map_err(Problem::from)?;
-            if waiting >= most {
-                return Err(OverLimit::Jobs { waiting, retry_after_s: state.store.retry_after_s() }.into());
-            }
+            state.store.admits(&caller.owner, most).await.map_err(Problem::from)?;
         }
     }
-    Ok((caller, left))
+    Ok(Admitted { caller, left, day })
 }
 
-/// Whether a browser says that another site's page made it send this: by Fetch Metadata, which it sends over TLS and to the machine itself, else by
-/// `Origin`. What the browser keeps for Basic goes with such requests too, so that a page anywhere could submit and delete jobs.
-fn from_elsewhere(request: &Request) -> bool {
-    let headers = request.headers();
-    if let Some(site) = headers.get("sec-fetch-site").map(HeaderValue::as_bytes) {
-        return site != b"same-origin" && site != b"none";
-    }
-    let Some(origin) = headers.get(header::ORIGIN) else { return false };
-    let origin = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, authority)| authority);
-    let named = request.uri().authority().map(Authority::as_str).or_else(|| headers.get(header::HOST)?.to_str().ok());
-    // `null` is nobody's own.
-    !origin.zip(named).is_some_and(|(origin, named)| origin.eq_ignore_ascii_case(named))
+/// A body of which more than the day has left is an error, once: what comes behind that can be let in so that the refusal arrives.
+fn counted(body: Body, mut day: DayBytes) -> Body {
+    let mut told = false;
+    Body::from_stream(body.into_data_stream().map(move |chunk| -> Result<_, BoxError> {
+        let chunk = chunk?;
+        if !told {
+            day.came(chunk.len() as u64, Timestamp::now()).inspect_err(|_| told = true)?;
+        }
+        Ok(chunk)
+    }))
 }
 
 /// The job in a path, as the handler reads it: `%30` is a digit too.
@@ -327,14 +327,7 @@ impl From<Refused> for Problem {
         };
         match refused {
             Refused::Other(problem) => *problem,
-            Refused::OverLimit(over) => {
-                let code = match over {
-                    OverLimit::Requests { .. } => "too_many_requests",
-                    OverLimit::Bytes { .. } => "too_many_bytes",
-                    OverLimit::Jobs { .. } => "too_many_jobs",
-                };
-                too_many(code, over.to_string(), over.retry_after_s())
-            }
+            Refused::OverLimit(over) => over.into(),
             Refused::Scope(scope) => {
                 let detail = format!("The key or token does not have the scope `{}`, which this needs.", scope.name());
                 Self::new(StatusCode::FORBIDDEN, "insufficient_scope", detail)

@@ -13,6 +13,7 @@ use super::{
     wishes::{Rules, Wishes},
 };
 use crate::{
+    access::Caller,
     jobs::{KeptInput, NewJob, Store, Submitted, input},
     parameters,
 };
@@ -24,6 +25,7 @@ use axum::{
 };
 use serde_json::Value;
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 use uuid::Uuid;
 
 /// Reconstructs the same study once more.
@@ -67,14 +69,14 @@ pub(super) async fn again(
     state.accepts_work()?;
     body::plain(&headers)?;
     let idempotency_key = idempotency_key(&headers)?;
-    let _room = state.uploads.room(body::MOST_PARAMETER_BYTES as u64).await?;
-    let written = written(&body::read(body, body::MOST_PARAMETER_BYTES as u64, state.upload_time).await?)?;
+    let _room = state.uploads.room(calling.0.sees_only(), body::MOST_PARAMETER_BYTES as u64).await?;
+    let written = written(&body::read(&headers, body, body::MOST_PARAMETER_BYTES as u64, state.pace).await?)?;
     // A place before the study is read.
     let mut reservation = state.store.reserve(0)?;
     let kept = kept_input(&state.store, id).await?;
     reservation.resize(kept.study.len() as u64)?;
-    let (rules, owner) = (Rules::of(&state), calling.0.owner.clone());
-    let new = state.parse(move |_| new_job(id, owner, kept, &written, idempotency_key, &rules)).await?;
+    let (rules, caller) = (Rules::of(&state), Arc::clone(&calling.0));
+    let new = state.parse(move |_| new_job(id, &caller, kept, &written, idempotency_key, &rules)).await?;
     match state.store.submit(reservation, new).await? {
         Submitted::Created(job) => Ok(located(StatusCode::ACCEPTED, job, &calling)),
         Submitted::Existing(job) => Ok(located(StatusCode::OK, job, &calling)),
@@ -102,7 +104,7 @@ fn written(bytes: &[u8]) -> Result<Value, BodyError> {
 /// Slow for large studies; not for a thread of the runtime.
 fn new_job(
     id: Uuid,
-    owner: String,
+    caller: &Caller,
     kept: KeptInput,
     written: &Value,
     idempotency_key: Option<String>,
@@ -118,5 +120,5 @@ fn new_job(
     hash.update(b"again");
     hash.update(id.as_bytes());
     hash.update(written.to_string());
-    Ok(wishes.job(owner, study, kept.subject, idempotency_key, hash.finalize().into()))
+    Ok(wishes.job(caller, study, kept.subject, idempotency_key, hash.finalize().into()))
 }

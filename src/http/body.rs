@@ -1,6 +1,7 @@
 //! The body of a submission: read within limits of size and time, and taken apart when it is multipart.
 
-use crate::parameters;
+use super::pace::{OwnTime, Pace, Paced};
+use crate::{access::OverLimit, parameters};
 use axum::{
     body::{Body, BodyDataStream, Bytes},
     http::{HeaderMap, header},
@@ -11,7 +12,7 @@ use sha2::{Digest, Sha256};
 use std::{
     convert::Infallible,
     pin::Pin,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     task::{Context, Poll},
     time::Duration,
 };
@@ -41,11 +42,22 @@ pub(super) enum BodyError {
         limit: u64,
     },
     /// The bytes came too slowly.
-    #[error("The body did not arrive within {seconds} s. Send it again.")]
+    #[error("The body did not arrive within {seconds} s: {received} bytes of it did. Send it again.")]
     TooSlow {
         /// Time allowed in s.
         seconds: u64,
+        /// Bytes that came.
+        received: u64,
     },
+    /// The bytes stopped.
+    #[error("No byte of the body came for {seconds} s. Send it again.")]
+    Stalled {
+        /// Time allowed in s.
+        seconds: u64,
+    },
+    /// More bytes than the caller may send.
+    #[error(transparent)]
+    OverLimit(#[from] OverLimit),
     /// The connection broke.
     #[error("The body ended before it was complete. Send it again.")]
     Interrupted,
@@ -101,11 +113,23 @@ pub(super) enum BodyError {
 }
 
 impl BodyError {
+    /// Why a stream of bytes broke.
+    pub(super) fn from_stream(error: &(dyn std::error::Error + 'static)) -> Self {
+        let mut causes = std::iter::successors(Some(error), |error| error.source());
+        causes.find_map(|cause| cause.downcast_ref::<OverLimit>()).map_or(Self::Interrupted, |over| Self::OverLimit(*over))
+    }
+
+    /// Whether it is not worth to wait for the rest.
+    fn is_slow(&self) -> bool {
+        matches!(self, Self::TooSlow { .. } | Self::Stalled { .. } | Self::Interrupted)
+    }
+
     /// The stable code of the problem.
     pub(super) fn code(&self) -> &'static str {
         match self {
             Self::TooLarge { .. } | Self::ParametersTooLarge { .. } => "too_large",
-            Self::TooSlow { .. } => "request_timeout",
+            Self::TooSlow { .. } | Self::Stalled { .. } => "request_timeout",
+            Self::OverLimit(over) => over.code(),
             Self::Interrupted => "incomplete_body",
             Self::Encoded { .. } => "unsupported_encoding",
             Self::ContentLength => "invalid_content_length",
@@ -155,16 +179,27 @@ async fn discard_rest(chunks: &mut (impl Stream<Item = Result<Bytes, axum::Error
 
 /// A body that may be refused in the middle, by whom it was given on to: what is left of it can be let in all the same. Clones are of the same one.
 #[derive(Clone)]
-pub(super) struct Arriving(Arc<Mutex<BodyDataStream>>);
+pub(super) struct Arriving(Arc<Mutex<Begun>>);
+
+struct Begun {
+    chunks: BodyDataStream,
+    /// Whether its sender knows that it is read.
+    asked_for: bool,
+}
 
 impl Arriving {
     pub(super) fn new(body: Body) -> Self {
-        Self(Arc::new(Mutex::new(body.into_data_stream())))
+        Self(Arc::new(Mutex::new(Begun { chunks: body.into_data_stream(), asked_for: false })))
     }
 
-    /// As [`discard`].
-    pub(super) async fn discard(mut self, headers: &HeaderMap, limit: u64) {
-        if !headers.contains_key(header::EXPECT) {
+    fn begun(&self) -> MutexGuard<'_, Begun> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// As [`discard`], unless it was refused for coming too slowly.
+    pub(super) async fn discard(mut self, headers: &HeaderMap, refusal: &BodyError, limit: u64) {
+        let sent = self.begun().asked_for || !headers.contains_key(header::EXPECT);
+        if sent && !refusal.is_slow() {
             discard_rest(&mut self, limit).await;
         }
     }
@@ -174,24 +209,28 @@ impl Stream for Arriving {
     type Item = Result<Bytes, axum::Error>;
 
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).poll_next_unpin(context)
+        let mut begun = self.begun();
+        begun.asked_for = true;
+        begun.chunks.poll_next_unpin(context)
     }
 }
 
-/// Reads a whole body of at most `limit` bytes within a time.
-pub(super) async fn read(body: Body, limit: u64, within: Duration) -> Result<Bytes, BodyError> {
-    tokio::time::timeout(within, collect(body.into_data_stream(), limit))
-        .await
-        .unwrap_or(Err(BodyError::TooSlow { seconds: within.as_secs() }))
+/// Reads a whole body of at most `limit` bytes.
+pub(super) async fn read(headers: &HeaderMap, body: Body, limit: u64, pace: Pace) -> Result<Bytes, BodyError> {
+    let body = Arriving::new(body);
+    let read = collect(Paced::new(body.clone(), pace, OwnTime::default()), limit).await;
+    if let Err(refusal) = &read {
+        body.discard(headers, refusal, limit).await;
+    }
+    read
 }
 
-pub(super) async fn collect(mut chunks: impl Stream<Item = Result<Bytes, axum::Error>> + Unpin, limit: u64) -> Result<Bytes, BodyError> {
+/// All chunks as one.
+pub(super) async fn collect(mut chunks: impl Stream<Item = Result<Bytes, BodyError>> + Unpin, limit: u64) -> Result<Bytes, BodyError> {
     let mut bytes = Vec::new();
     while let Some(chunk) = chunks.next().await {
-        let chunk = chunk.map_err(|_| BodyError::Interrupted)?;
+        let chunk = chunk?;
         if (bytes.len() + chunk.len()) as u64 > limit {
-            drop(bytes);
-            discard_rest(&mut chunks, limit).await;
             return Err(BodyError::TooLarge { limit });
         }
         bytes.extend_from_slice(&chunk);

@@ -69,7 +69,8 @@ impl Proxies {
 
 /// The `for` of one element of `Forwarded` (RFC 7239 4).
 fn forwarded_for(element: &str) -> Option<IpAddr> {
-    let value = unquoted(element, ';').into_iter().find_map(|pair| {
+    let (pairs, _) = unquoted(element, ';');
+    let value = pairs.into_iter().find_map(|pair| {
         let (name, value) = pair.split_once('=')?;
         name.trim().eq_ignore_ascii_case("for").then_some(value.trim())
     })?;
@@ -78,24 +79,20 @@ fn forwarded_for(element: &str) -> Option<IpAddr> {
 
 /// The elements of a line. Where a quote stays open, it is a client's that would swallow what proxies wrote behind it: there every comma separates.
 fn elements(line: &str) -> Vec<&str> {
-    let (mut quoted, mut escaped) = (false, false);
-    for letter in line.chars() {
-        quoted ^= letter == '"' && !escaped;
-        escaped = letter == '\\' && quoted && !escaped;
-    }
-    if quoted { line.split(',').collect() } else { unquoted(line, ',') }
+    let (elements, open) = unquoted(line, ',');
+    if open { line.split(',').collect() } else { elements }
 }
 
-/// The parts of a text between separators that are not inside of a quoted string.
-fn unquoted(text: &str, separator: char) -> Vec<&str> {
+/// The parts of a text between separators that are not inside of a quoted string, and whether one stays open.
+fn unquoted(text: &str, separator: char) -> (Vec<&str>, bool) {
     let (mut quoted, mut escaped) = (false, false);
-    text.split(|letter: char| {
+    let parts = text.split(|letter: char| {
         let ends = letter == separator && !quoted;
         quoted ^= letter == '"' && !escaped;
         escaped = letter == '\\' && quoted && !escaped;
         ends
-    })
-    .collect()
+    });
+    (parts.collect(), quoted)
 }
 
 /// An address with or without a port, one of IPv6 with or without brackets.

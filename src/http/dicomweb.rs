@@ -11,6 +11,7 @@ use super::{
     extract::StudyUid,
     layers::Told,
     negotiate,
+    pace::{OwnTime, Pace, Paced},
     problem::Problem,
     uploads::Room,
     views::{Binary, StoreInstancesResponse},
@@ -30,6 +31,7 @@ use std::{
         atomic::{AtomicU32, AtomicU64, Ordering},
     },
     task::Poll,
+    time::Instant,
 };
 
 /// Media type of DICOM as JSON (PS3.18 annex F).
@@ -107,28 +109,27 @@ async fn receive(
     headers: &HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let _room = match admit(state, headers).await {
+    let room = match admit(state, calling, headers).await {
         Ok(room) => room,
         Err(refusal) => {
             body::discard(headers, body, state.study_bytes).await;
             return Err(refusal);
         }
     };
-    let reception = state.assembler().reception(&calling.0.owner, Way::Stow, study_uid);
+    let reception = state.assembler().reception((&calling.0.owner, calling.0.queued_jobs()), Way::Stow, study_uid);
     let body = Arriving::new(body);
-    let reading = read(state, headers, body.clone(), reception);
-    let read = tokio::time::timeout(state.study_time(), reading).await;
-    match read.unwrap_or(Err(BodyError::TooSlow { seconds: state.study_time().as_secs() })) {
+    match read(state, headers, body.clone(), reception).await {
         Ok(reception) => answer(reception.end().await),
         Err(refusal) => {
-            body.discard(headers, state.study_bytes).await;
+            drop(room);
+            body.discard(headers, &refusal, state.study_bytes).await;
             Err(refusal.into())
         }
     }
 }
 
 /// What the headers of a request decide before its body is read: whether it is, and its room in the memory.
-async fn admit(state: &AppState, headers: &HeaderMap) -> Result<Room, Problem> {
+async fn admit(state: &AppState, calling: &Calling, headers: &HeaderMap) -> Result<Room, Problem> {
     negotiate::acceptable(headers, DICOM_JSON)
         .or_else(|_| negotiate::acceptable(headers, "application/json"))
         .map_err(|_| Problem::from(negotiate::NotAcceptable { offered: DICOM_JSON }))?;
@@ -139,13 +140,16 @@ async fn admit(state: &AppState, headers: &HeaderMap) -> Result<Room, Problem> {
     state.store.reserve(0)?;
     // One object, what the parser holds before it, and the excerpts that are not committed yet.
     let held = state.limits.body_bytes as u64 + MOST_HELD_BYTES + MOST_WAITING_BYTES;
-    Ok(state.uploads.room(announced.min(held)).await?)
+    Ok(state.uploads.room(calling.0.sees_only(), announced.min(held)).await?)
 }
 
 /// Hands the files of a body to the reception, one after the other.
 async fn read(state: &AppState, headers: &HeaderMap, body: Arriving, mut reception: Reception) -> Result<Reception, BodyError> {
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     let limit = state.limits.body_bytes as u64;
+    // It may hold many objects, each as large as a body may be.
+    let (pace, own_time) = (Pace { longer_by_bytes: limit, ..state.pace }, OwnTime::default());
+    let body = Paced::new(body, pace, own_time.clone());
     let Some(boundary) = content_type.filter(|value| body::is_multipart(value)) else {
         reception.take(body::collect(body, limit).await?).await;
         return Ok(reception);
@@ -169,7 +173,9 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Arriving, mut recepti
             }
             bytes.extend_from_slice(&chunk);
         }
+        let began = Instant::now();
         reception.take(Bytes::from(bytes)).await;
+        own_time.add(began.elapsed());
     }
     Ok(reception)
 }
@@ -192,7 +198,7 @@ impl Flow {
 }
 
 /// The chunks of a body, of at most so many bytes in all, no faster than the parser gives them back.
-fn metered(mut chunks: Arriving, flow: Arc<Flow>, limit: u64) -> impl Stream<Item = Result<Bytes, BodyError>> + Send {
+fn metered(mut chunks: Paced<Arriving>, flow: Arc<Flow>, limit: u64) -> impl Stream<Item = Result<Bytes, BodyError>> + Send {
     let mut total = 0;
     stream::poll_fn(move |context| {
         if flow.held.load(Ordering::Relaxed) > MOST_HELD_BYTES {
@@ -205,7 +211,7 @@ fn metered(mut chunks: Arriving, flow: Arc<Flow>, limit: u64) -> impl Stream<Ite
         }
         chunks.poll_next_unpin(context).map(|next| {
             next.map(|chunk| {
-                let chunk = chunk.map_err(|_| BodyError::Interrupted)?;
+                let chunk = chunk?;
                 total += chunk.len() as u64;
                 flow.held.fetch_add(chunk.len() as u64, Ordering::Relaxed);
                 if total > limit { Err(BodyError::TooLarge { limit }) } else { Ok(chunk) }
@@ -233,7 +239,7 @@ fn answer(received: Received) -> Result<Response, Problem> {
     }
     let stored = outcomes.iter().filter(|outcome| outcome.result.is_ok()).count();
     if stored == 0
-        && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.queue_full())
+        && let Some(full) = outcomes.iter().find_map(|outcome| outcome.result.as_ref().err()?.no_room())
     {
         return Err(full.into());
     }

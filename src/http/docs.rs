@@ -104,7 +104,11 @@ pub(super) fn document_access(document: &mut utoipa::openapi::OpenApi) {
             let responses = &mut operation.responses.responses;
             let who = "No key or token, or none that is valid (`credentials_missing`, `credentials_invalid`, `credentials_expired`)";
             responses.insert("401".to_owned(), problem(who, &[("WWW-Authenticate", "What is asked for")]).into());
-            let scope = format!("The key or token has not the scope `{}`, or a page of another site sent the request", scope.name());
+            let scope = format!(
+                "The key or token has not the scope `{}`; or nobody is asked, and a page of another site sent the request, or to a name that is not the \
+                 machine's",
+                scope.name()
+            );
             responses.insert("403".to_owned(), problem(&scope, &[]).into());
             let much = "More requests, bytes or waiting jobs than the key or token may have, or too many refused requests of the address";
             responses.insert("429".to_owned(), problem(much, &[("Retry-After", "Seconds")]).into());

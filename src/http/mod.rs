@@ -24,11 +24,13 @@ mod layers;
 mod listener;
 mod negotiate;
 mod news;
+mod pace;
 mod pictures;
 mod problem;
 mod reconstructions;
 mod results;
 mod service;
+mod site;
 mod slices;
 mod traces;
 mod uploads;
@@ -42,12 +44,13 @@ pub use problem::Problem;
 pub use service::{Running, ServeError, serve, start};
 pub use views::{CallbackView, JobListView, JobState, JobView, Links, ProgressView, callback_body};
 
+use self::pace::Pace;
 use crate::{
     access::{Access, Audit},
     assembly::{self, Assembler, NotParsed, Parsers},
     callbacks::Rules,
     codecs::Decoder,
-    config::Cors,
+    config::{Cors, Hosts},
     intake,
     jobs::Store,
     telemetry,
@@ -69,6 +72,8 @@ const ANSWER_TIME: Duration = Duration::from_secs(45);
 const STUDY_BYTES: u64 = 1 << 30;
 /// Pause after which a series is taken as it is, if nothing else is said: PACS send one instance right after the other.
 const QUIET: Duration = Duration::from_secs(10);
+/// Longest time in which no byte of a body comes: connections over which people work lose packets for some seconds, not for more.
+const BODY_PAUSE: Duration = Duration::from_secs(30);
 /// Bodies received at once, if nothing else is said, and the bytes that they may hold.
 const UPLOADS: (usize, u64) = (64, 512 << 20);
 /// Longest a client may have its job kept, if nothing else is said: a year.
@@ -83,7 +88,7 @@ pub struct AppState {
     study_bytes: u64,
     /// When a series that does not say how much of it there is goes without more.
     quiet: Duration,
-    upload_time: Duration,
+    pace: Pace,
     uploads: uploads::Uploads,
     longest_retention: Duration,
     keep_patient: bool,
@@ -97,6 +102,8 @@ pub struct AppState {
     phantom: Arc<demonstration::Made>,
     viewer: viewer::Files,
     access: Arc<Access>,
+    /// Names under which everybody may come in where nobody is asked.
+    hosts: Arc<Hosts>,
     audit: Option<Audit>,
     traces: Traces,
     draining: CancellationToken,
@@ -125,7 +132,7 @@ impl AppState {
             limits: Arc::default(),
             study_bytes: STUDY_BYTES,
             quiet: QUIET,
-            upload_time: Duration::from_mins(2),
+            pace: Pace { pause: BODY_PAUSE, time: Duration::from_mins(2), longer_by_bytes: u64::MAX },
             uploads: uploads::Uploads::new(UPLOADS.0, UPLOADS.1),
             longest_retention: LONGEST_RETENTION,
             keep_patient: false,
@@ -138,6 +145,7 @@ impl AppState {
             phantom: Arc::default(),
             viewer: viewer::embedded(),
             access: Arc::new(Access::open()),
+            hosts: Arc::new(Hosts::Any),
             audit: None,
             traces: Traces::default(),
             draining: CancellationToken::new(),
@@ -168,8 +176,16 @@ impl AppState {
 
     /// With another time for a body to arrive.
     #[must_use]
-    pub fn with_upload_time(self, upload_time: Duration) -> Self {
-        Self { upload_time, ..self }
+    pub fn with_upload_time(mut self, time: Duration) -> Self {
+        self.pace.time = time;
+        self
+    }
+
+    /// With another time that a body may make a pause.
+    #[must_use]
+    pub fn with_upload_pause(mut self, pause: Duration) -> Self {
+        self.pace.pause = pause;
+        self
     }
 
     /// With another limit on bodies received at once and the bytes that they may hold, and another time to wait for room.
@@ -220,6 +236,12 @@ impl AppState {
         Self { callbacks: Some(Arc::new(rules)), ..self }
     }
 
+    /// Called by these names only, where nobody is asked who he is.
+    #[must_use]
+    pub fn with_hosts(self, hosts: Hosts) -> Self {
+        Self { hosts: Arc::new(hosts), ..self }
+    }
+
     /// Asking callers who they are. Without it everybody may do everything.
     #[must_use]
     pub fn with_access(self, access: Access) -> Self {
@@ -257,12 +279,7 @@ impl AppState {
             keep_subject: self.keep_patient,
             callback_url: self.callbacks.as_ref().and_then(|rules| rules.default_url.clone()),
         };
-        Assembler::new(self.store.clone(), settings, self.parsers.clone())
-    }
-
-    /// Time that a request with a whole study may take to arrive: as much as its bytes would in requests of the usual size.
-    fn study_time(&self) -> Duration {
-        self.upload_time * u32::try_from(self.study_bytes.div_ceil(self.limits.body_bytes.max(1) as u64)).unwrap_or(u32::MAX)
+        Assembler::new(self.store.clone(), settings, self.parsers.clone(), Arc::clone(&self.access))
     }
 
     fn accepts_work(&self) -> Result<(), Problem> {

@@ -7,10 +7,11 @@ use super::{
     uploads::{RETRY_AFTER_S, UploadsFull},
 };
 use crate::{
+    access::OverLimit,
     archive::ArchiveError,
     export::ExportError,
     intake::{IntakeError, Nature, sentence},
-    jobs::{Job, JobError, QueueFull, State, StoreError, SubmitError},
+    jobs::{Job, JobError, OwnerFull, QueueFull, State, StoreError, SubmitError},
     parameters::{Complaint, ParameterError},
     phantom::PhantomError,
     pipeline::PipelineError,
@@ -218,7 +219,8 @@ impl From<BodyError> for Problem {
     fn from(error: BodyError) -> Self {
         let status = match error {
             BodyError::TooLarge { .. } | BodyError::ParametersTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
-            BodyError::TooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
+            BodyError::TooSlow { .. } | BodyError::Stalled { .. } => StatusCode::REQUEST_TIMEOUT,
+            BodyError::OverLimit(over) => return over.into(),
             BodyError::Encoded { .. } => StatusCode::UNSUPPORTED_MEDIA_TYPE,
             BodyError::Interrupted
             | BodyError::ContentLength
@@ -240,6 +242,18 @@ impl From<QueueFull> for Problem {
     }
 }
 
+impl From<OwnerFull> for Problem {
+    fn from(full: OwnerFull) -> Self {
+        Self { retry_after_s: Some(full.retry_after_s), ..Self::new(StatusCode::TOO_MANY_REQUESTS, "too_many_jobs", full.to_string()) }
+    }
+}
+
+impl From<OverLimit> for Problem {
+    fn from(over: OverLimit) -> Self {
+        Self { retry_after_s: Some(over.retry_after_s()), ..Self::new(StatusCode::TOO_MANY_REQUESTS, over.code(), over.to_string()) }
+    }
+}
+
 impl From<SubmitError> for Problem {
     fn from(error: SubmitError) -> Self {
         match error {
@@ -249,6 +263,7 @@ impl From<SubmitError> for Problem {
             }
             SubmitError::TooLarge { .. } => Self::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", error.to_string()),
             SubmitError::QueueFull(full) => full.into(),
+            SubmitError::OwnerFull(full) => full.into(),
             SubmitError::Store(error) => error.into(),
         }
     }

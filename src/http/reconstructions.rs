@@ -12,7 +12,7 @@ use super::{
     wishes::{Rules, Wishes},
 };
 use crate::{
-    access::Scope,
+    access::{Caller, Scope},
     intake, jobs,
     jobs::{Deletion, Job, ListQuery, NewJob, Reservation, Submitted},
     parameters,
@@ -136,18 +136,18 @@ pub(super) async fn submit(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let (idempotency_key, mut reservation, room) = match admit(&state, &headers).await {
+    let (idempotency_key, mut reservation, room) = match admit(&state, &calling, &headers).await {
         Ok(admitted) => admitted,
         Err(refusal) => {
             body::discard(&headers, body, state.limits.body_bytes as u64).await;
             return Err(refusal);
         }
     };
-    let bytes = body::read(body, reservation.bytes(), state.upload_time).await?;
+    let bytes = body::read(&headers, body, reservation.bytes(), state.pace).await?;
     reservation.resize(bytes.len() as u64)?;
     let content_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let (rules, keep_subject) = (Rules::of(&state), state.keep_patient);
-    let submission = Submission { owner: calling.0.owner.clone(), content_type, bytes, query, idempotency_key };
+    let submission = Submission { caller: Arc::clone(&calling.0), content_type, bytes, query, idempotency_key };
     let parsing = move |limits: &_| {
         let _room = room; // held to the end even if the client goes away
         receive(submission, limits, &rules, keep_subject)
@@ -160,19 +160,19 @@ pub(super) async fn submit(
 }
 
 /// What the headers of a submission decide: its key, its place in the queue and its room in the memory, taken before the body is read.
-async fn admit(state: &AppState, headers: &HeaderMap) -> Result<(Option<String>, Reservation, Room), Problem> {
+async fn admit(state: &AppState, calling: &Calling, headers: &HeaderMap) -> Result<(Option<String>, Reservation, Room), Problem> {
     negotiate::acceptable(headers, "application/json")?;
     state.accepts_work()?;
     body::plain(headers)?;
     let idempotency_key = idempotency_key(headers)?;
     let announced = body::announced(headers, state.limits.body_bytes as u64)?;
     let reservation = state.store.reserve(announced)?;
-    Ok((idempotency_key, reservation, state.uploads.room(announced).await?))
+    Ok((idempotency_key, reservation, state.uploads.room(calling.0.sees_only(), announced).await?))
 }
 
 /// A submission as it came.
 struct Submission {
-    owner: String,
+    caller: Arc<Caller>,
     content_type: Option<String>,
     bytes: Bytes,
     query: Vec<(String, String)>,
@@ -181,7 +181,7 @@ struct Submission {
 
 /// From bytes to what is stored: takes the body apart, reads the study, resolves the parameters. Slow; not for a thread of the runtime.
 fn receive(submission: Submission, limits: &intake::Limits, rules: &Rules, keep_subject: bool) -> Result<NewJob, Problem> {
-    let Submission { owner, content_type, bytes, mut query, idempotency_key } = submission;
+    let Submission { caller, content_type, bytes, mut query, idempotency_key } = submission;
     let upload = Upload::new(content_type.as_deref(), bytes)?;
     let request_hash = upload.hash(&query);
     let options = intake::Options { spacing_mm: take_spacing(&mut query)?, keep_subject };
@@ -198,7 +198,7 @@ fn receive(submission: Submission, limits: &intake::Limits, rules: &Rules, keep_
         return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "needless_spacing", detail));
     }
     let wishes = Wishes::read(&merged_parameters(received.parameters, upload.parameters, query), rules, &received.study)?;
-    Ok(wishes.job(owner, received.study, received.subject, idempotency_key, request_hash))
+    Ok(wishes.job(&caller, received.study, received.subject, idempotency_key, request_hash))
 }
 
 /// Takes `spacing_mm=z,y,x` out of the query.

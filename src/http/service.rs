@@ -308,6 +308,7 @@ fn outward(settings: &ServeSettings) -> Result<Outward, ServeError> {
     let document: Document = Arc::new(|store, id| Box::pin(async move { archived::document(&store, id).await }));
     let calling = dimse::Title::parse(&settings.dimse.ae_title).ok_or_else(|| io::Error::other("the AE title is none"))?;
     let authorization = settings.outward.results_authorization()?.map(|secret| secret.expose().to_owned());
+    let authorization = settings.outward.results_to.clone().zip(authorization);
     let results = destination.map(|_| Results { document, calling, authorization });
     Ok(Outward { rules, deliveries: Some(DeliverySettings::new(sender, callbacks, results)) })
 }
@@ -389,7 +390,8 @@ fn state(settings: &ServeSettings, store: &Store, workers: &Arc<Workers>) -> App
         .with_longest_retention(settings.longest_retention())
         .with_patients_kept(settings.keep_patient)
         .with_workers(move || workers.alive())
-        .with_cors(settings.cors());
+        .with_cors(settings.cors())
+        .with_hosts(settings.access.hosts(settings.listen));
     let transport = &settings.transport;
     state.uploads = Uploads::new(transport.max_uploads as usize, transport.max_upload_memory_mb << 20);
     state.hsts_seconds = transport.tls().map(|_| transport.hsts_seconds).filter(|seconds| *seconds > 0);

@@ -2,6 +2,7 @@
 
 use super::{AppState, problem::Problem};
 use crate::{
+    access::Caller,
     callbacks,
     jobs::NewJob,
     parameters::{self, ParameterError},
@@ -52,14 +53,15 @@ impl Wishes {
     /// The job.
     pub(super) fn job(
         self,
-        owner: String,
+        caller: &Caller,
         study: Study,
         subject: Option<Subject>,
         idempotency_key: Option<String>,
         request_hash: [u8; 32],
     ) -> NewJob {
         let Self { parameters, retention, callback_url, keep_input } = self;
-        NewJob { owner, idempotency_key, request_hash, study, subject, parameters, retention, callback_url, keep_input }
+        let (owner, most_queued) = (caller.owner.clone(), caller.queued_jobs());
+        NewJob { owner, most_queued, idempotency_key, request_hash, study, subject, parameters, retention, callback_url, keep_input }
     }
 }
 

@@ -10,6 +10,16 @@ pub struct QueueFull {
     pub retry_after_s: u64,
 }
 
+/// As many jobs of one owner wait as may.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{waiting} jobs of this owner wait already, as many as may. Send the request again when some are done.")]
+pub struct OwnerFull {
+    /// How many wait.
+    pub waiting: u64,
+    /// When all that waits is probably done, in s.
+    pub retry_after_s: u64,
+}
+
 /// Why a submission was not accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum SubmitError {
@@ -33,6 +43,9 @@ pub enum SubmitError {
     /// No room for the job now.
     #[error(transparent)]
     QueueFull(#[from] QueueFull),
+    /// No room for the owner's jobs now.
+    #[error(transparent)]
+    OwnerFull(#[from] OwnerFull),
     /// The store failed; nothing was accepted.
     #[error(transparent)]
     Store(#[from] StoreError),

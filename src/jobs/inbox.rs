@@ -242,11 +242,12 @@ impl Store {
     }
 
     /// A job that failed before it began, since the instances that came make no study. It keeps their excerpts, for when more of them come.
-    /// The same instances fail once, and none of them if another job has them all meanwhile: then there is no new job.
+    /// The same instances fail once, and none of them if another job has them all meanwhile: then there is no new job. Key and hash are those
+    /// that a job of these instances has, so that they are the same submission if they are put together again.
     pub async fn fail_assembly(
         &self,
         series: &Series,
-        key: &str,
+        (key, request_hash): (&str, [u8; 32]),
         instance_uids: Vec<String>,
         error: &JobError,
         callback_url: Option<String>,
@@ -267,7 +268,7 @@ impl Store {
             VALUES ($1, $2, $3, $4, 'reconstruction', '{}', $5, 0, 'failed', 0, {now}, 0, {now}, {now}, $6, $7)
             ON CONFLICT (owner, idempotency_key) DO NOTHING RETURNING {notify}",
         );
-        let fields = values![id, series.owner.as_str(), key, Vec::<u8>::new(), series.study_uid.as_str(), error, callback_url];
+        let fields = values![id, series.owner.as_str(), key, request_hash.to_vec(), series.study_uid.as_str(), error, callback_url];
         if transaction.fetch_one(&sql, fields).await?.is_none() {
             let sql = "SELECT id FROM jobs WHERE owner = $1 AND idempotency_key = $2";
             if let Some(row) = transaction.fetch_one(sql, values![series.owner.as_str(), key]).await? {

@@ -110,6 +110,8 @@ pub const ANONYMOUS: &str = "anonymous";
 pub struct NewJob {
     /// Who submits; idempotency keys of different owners do not meet.
     pub owner: String,
+    /// It is refused where already so many jobs of the owner wait.
+    pub most_queued: Option<u64>,
     /// The client's key: the same key and request gives the same job.
     pub idempotency_key: Option<String>,
     /// SHA-256 of the request, to tell a retry from another request under the same key.

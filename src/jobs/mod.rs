@@ -60,7 +60,7 @@ mod worker;
 
 pub use clock::ClockSet;
 pub use deliveries::{Delivery, DeliveryClaim, DeliveryKind, Settled};
-pub use error::{QueueFull, StoreError, SubmitError};
+pub use error::{OwnerFull, QueueFull, StoreError, SubmitError};
 pub use feed::News;
 pub use inbox::{Filed, Members, NewInstance, Series, StoredInstance};
 pub use job::{ANONYMOUS, Blob, Counts, Deletion, Job, JobError, KeptInput, ListQuery, NewJob, Page, State, Submitted};

@@ -143,11 +143,6 @@ impl Store {
         self.inner.queue.reserve(bytes)
     }
 
-    /// Seconds until more may be accepted, from the measured rate.
-    pub fn retry_after_s(&self) -> u64 {
-        self.inner.queue.full().retry_after_s
-    }
-
     /// A job.
     pub async fn get(&self, id: Uuid) -> Result<Option<Job>, StoreError> {
         let sql = format!("{SELECT} WHERE id = $1");
@@ -158,13 +153,6 @@ impl Store {
     pub async fn owner(&self, id: Uuid) -> Result<Option<String>, StoreError> {
         let row = self.inner.database.fetch_one("SELECT owner FROM jobs WHERE id = $1", values![id]).await?;
         row.map(|row| row.get(0)).transpose()
-    }
-
-    /// How many jobs of an owner wait.
-    pub async fn queued_of(&self, owner: &str) -> Result<u64, StoreError> {
-        let sql = "SELECT COUNT(*) FROM jobs WHERE owner = $1 AND state = 'queued'";
-        let row = self.inner.database.fetch_one(sql, values![owner]).await?;
-        row.map_or(Ok(0), |row| row.get::<i64>(0)).map(|count| count as u64)
     }
 
     /// A job that is known to be there.

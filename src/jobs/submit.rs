@@ -1,9 +1,9 @@
 //! How a job is accepted: its row and its input in one transaction, within the limits, once for each key.
 
 use super::{
-    database::{Transaction, values},
+    database::{Row, Transaction, values},
     ending::kept_ms,
-    error::{StoreError, SubmitError},
+    error::{OwnerFull, StoreError, SubmitError},
     inbox::Members,
     input,
     job::{NewJob, Submitted},
@@ -15,7 +15,24 @@ use crate::traces::current;
 use tracing::Instrument as _;
 use uuid::Uuid;
 
+/// Jobs of an owner that wait.
+const QUEUED_OF: &str = "SELECT COUNT(*) FROM jobs WHERE owner = $1 AND state = 'queued'";
+
 impl Store {
+    /// Whether an owner may have another job where so many may wait, to be known before a body is read. [`submit`](Self::submit) looks again.
+    pub async fn admits(&self, owner: &str, most_queued: u64) -> Result<(), SubmitError> {
+        let row = self.inner.database.fetch_one(QUEUED_OF, values![owner]).await?;
+        self.within(row, most_queued)
+    }
+
+    fn within(&self, row: Option<Row>, most_queued: u64) -> Result<(), SubmitError> {
+        let waiting = row.map_or(Ok(0), |row| row.get::<i64>(0))? as u64;
+        if waiting < most_queued {
+            return Ok(());
+        }
+        Err(OwnerFull { waiting, retry_after_s: self.inner.queue.full().retry_after_s }.into())
+    }
+
     /// Stores a job. When this returns, the job is committed to disk. Runs to its end even if the caller goes away.
     pub async fn submit(&self, reservation: Reservation, new: NewJob) -> Result<Submitted, SubmitError> {
         self.submit_assembled(reservation, new, Members::None).await
@@ -31,7 +48,7 @@ impl Store {
     }
 
     async fn submit_to_end(&self, mut reservation: Reservation, new: NewJob, members: Members) -> Result<Submitted, SubmitError> {
-        let (owner, key, hash) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash);
+        let (owner, key, hash, most_queued) = (new.owner.clone(), new.idempotency_key.clone(), new.request_hash, new.most_queued);
         let row = tokio::task::spawn_blocking(move || NewRow::prepare(new)).await.map_err(|_| StoreError::Interrupted)??;
         let (id, bytes) = (row.id, row.input.len() as u64);
         let mut transaction = self.inner.database.begin().await?;
@@ -55,6 +72,10 @@ impl Store {
         let queued = queued(&mut transaction).await?;
         if !self.inner.queue.within_limit(Load { jobs: queued.jobs + 1, bytes: queued.bytes.saturating_add(bytes) }) {
             return Err(self.inner.queue.full().into());
+        }
+        if let Some(most) = most_queued {
+            let row = transaction.fetch_one(QUEUED_OF, values![owner.as_str()]).await?;
+            self.within(row, most)?;
         }
         row.insert(self, &mut transaction).await?;
         self.take(&mut transaction, &owner, members, id).await?;

@@ -48,7 +48,7 @@ impl Connection {
 
     async fn send(&mut self, method: &str, path: &str, headers: &[(&str, &str)], body: Bytes) -> hyper::Result<hyper::Response<Incoming>> {
         self.sender.ready().await?;
-        let mut request = Request::builder().method(method).uri(path).header("host", "test");
+        let mut request = Request::builder().method(method).uri(path).header("host", "localhost");
         if let Some(key) = &self.key {
             request = request.header("authorization", key);
         }

@@ -29,7 +29,9 @@ fn run(program: &Path, service: &Served, jobs: &[String; 2], folder: &Path, conf
     let output = Command::new(program)
         .current_dir(folder)
         .args(config.into_iter().flatten())
-        .args(["run", &format!("{}/openapi.json", service.url), "--phases", "examples,coverage,fuzzing", "--seed", "1", "--workers", "2"])
+        .args(["run", &format!("{}/openapi.json", service.url), "--phases", "examples,coverage,fuzzing", "--seed", "1"])
+        // By one thread: Python 3.11 fails now and then where two parse Python at once (python/cpython#106905), as hypothesis does for its messages.
+        .args(["--workers", "1"])
         // The stream of all jobs has no end.
         .args(["--exclude-path", "/v1/reconstructions/events", "--request-timeout", "60", "--continue-on-failure", "--no-shrink"])
         .args(arguments)

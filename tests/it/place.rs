@@ -172,6 +172,7 @@ pub(crate) fn study() -> Study {
 
 pub(crate) fn new_job() -> NewJob {
     NewJob {
+        most_queued: None,
         subject: None,
         owner: "someone".into(),
         idempotency_key: None,

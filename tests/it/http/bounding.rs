@@ -1,6 +1,9 @@
 //! What every answer carries for browsers, how large a head may be, and how much of the memory bodies may take.
 
-use super::harness::{Answer, Service, idle, request, study, with};
+use super::{
+    guarded::Guarded,
+    harness::{Answer, Service, idle, request, study, with},
+};
 use axum::body::{Body, Bytes};
 use futures_util::{StreamExt, stream};
 use std::{
@@ -12,7 +15,12 @@ use std::{
     time::Duration,
 };
 use tokio::sync::oneshot;
-use ventricle::{config::Cors, http::router, jobs::StoreSettings};
+use ventricle::{
+    access::{Attempts, Scope, Standing},
+    config::Cors,
+    http::{AppState, router},
+    jobs::StoreSettings,
+};
 
 #[tokio::test]
 async fn every_answer_tells_browsers_to_be_careful() {
@@ -113,6 +121,37 @@ async fn a_body_without_room_is_not_read_until_there_is_some() {
     for answer in [first.await.unwrap(), second.await.unwrap()] {
         assert_eq!(answer.status, 202, "{}", answer.json());
     }
+}
+
+#[tokio::test]
+async fn one_owner_leaves_room_for_others() {
+    let change = |state: AppState| state.with_uploads(4, 512 << 20, Duration::from_millis(200));
+    let guarded = Guarded::with(None, Standing::default(), Attempts::default(), change).await;
+    let (ours, theirs) = (guarded.key("ours", &[Scope::Submit]), guarded.key("theirs", &[Scope::Submit]));
+    let bearer = format!("Bearer {ours}");
+    let mut held_back = Vec::new();
+    for _ in 0..12 {
+        let (mut request, go, asked) = held(study(0).to_string());
+        request.headers_mut().insert("authorization", bearer.parse().unwrap());
+        held_back.push((sent(&guarded.service, request), go, asked));
+    }
+    for _ in 0..500 {
+        // Two are received, two wait, and of eight what is sent is let in so that they are told.
+        if held_back.iter().filter(|(.., asked)| asked.load(Ordering::SeqCst)).count() >= 10 {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    assert_eq!(guarded.submit(1, &theirs).await.status, 202, "while the first owner has all that one may have, and all places in line");
+    let mut answers = Vec::new();
+    for (sent, go, asked) in held_back {
+        // Those that found no room wait for the end of what they sent, so that the refusal arrives.
+        let _ = go.send(());
+        answers.push((sent.await.unwrap().status.as_u16(), asked.load(Ordering::SeqCst)));
+    }
+    // Those that waited may have found room when the first two were done.
+    let count = |wanted| answers.iter().filter(|(status, _)| *status == wanted).count();
+    assert!((2..=4).contains(&count(202)) && count(202) + count(503) == answers.len(), "{answers:?}");
 }
 
 #[tokio::test]

@@ -19,7 +19,7 @@ use std::{
 use tower::ServiceExt;
 use ventricle::{
     access::{self, Access, Allowances, Attempts, KeyRecord, Keyring, Scope, Standing, Wished},
-    http::{guarded_routes, openapi_document},
+    http::{AppState, guarded_routes, openapi_document},
     jobs::{StoreSettings, Work},
 };
 
@@ -47,16 +47,21 @@ pub(super) fn key(file: &Path, owner: &str, scopes: &[Scope], limits: Wished, ex
 
 impl Guarded {
     pub(super) async fn new(work: Option<Work>, standing: Standing) -> Self {
-        Self::with(work, standing, Attempts::default()).await
+        Self::with(work, standing, Attempts::default(), |state| state).await
     }
 
-    /// With another limit on wrong keys.
-    async fn with(work: Option<Work>, standing: Standing, attempts: Attempts) -> Self {
+    /// With another limit on wrong keys, and other settings.
+    pub(super) async fn with(
+        work: Option<Work>,
+        standing: Standing,
+        attempts: Attempts,
+        change: impl FnOnce(AppState) -> AppState,
+    ) -> Self {
         let file = std::env::temp_dir().join(format!("ventricle-keys-{}.json", uuid::Uuid::now_v7()));
         key(&file, "nobody", &[], Wished::default(), None);
         let ring = Arc::new(Keyring::open(&file).unwrap());
         let access = Access::new(Some(Arc::clone(&ring)), None, Allowances::new(standing)).with_attempts(attempts);
-        let service = with(StoreSettings::default(), work, |state| state.with_access(access)).await;
+        let service = with(StoreSettings::default(), work, |state| change(state.with_access(access))).await;
         Self { service, file, access: ring }
     }
 
@@ -149,7 +154,7 @@ fn every_route_says_what_it_needs_and_nothing_else_does() {
 async fn every_route_lets_in_whom_it_should_and_nobody_else() {
     // Every wrong key is to be refused as such.
     let patient = Attempts::new(NonZeroU32::MAX);
-    let guarded = Guarded::with(Some(instant()), Standing::default(), patient).await;
+    let guarded = Guarded::with(Some(instant()), Standing::default(), patient, |state| state).await;
     let [submit, read, admin] = Scope::ALL.map(|scope| (scope, guarded.key("ours", &[scope])));
     let stranger = guarded.key("theirs", &[Scope::Admin]);
     let none = guarded.key("ours", &[]);

@@ -1,6 +1,6 @@
 //! What is refused, with which status, and that every refusal is a problem document.
 
-use super::harness::{idle, instant, study, with, working};
+use super::harness::{idle, instant, request, study, with, working};
 use axum::body::{Body, Bytes};
 use futures_util::{StreamExt, stream};
 use std::{
@@ -74,6 +74,16 @@ async fn a_body_that_does_not_come_is_given_up() {
     let service = with(StoreSettings::default(), None, |state| state.with_upload_time(Duration::from_millis(100))).await;
     let body = Body::from_stream(stream::pending::<Result<Bytes, Infallible>>());
     service.post("", &[], body).await.problem(408, "request_timeout");
+    let patient = with(StoreSettings::default(), None, |state| state.with_upload_pause(Duration::from_millis(100))).await;
+    let half = || Body::from_stream(stream::iter([Ok::<_, Infallible>(Bytes::from_static(b"--x\r\n"))]).chain(stream::pending()));
+    patient.post("", &[], half()).await.problem(408, "request_timeout");
+    // As much as is announced makes no difference, nor does what the parts are.
+    for (content_type, length) in [("application/dicom", "1000"), ("multipart/related; boundary=x", "900000000")] {
+        let headers = [("content-type", content_type), ("content-length", length)];
+        let stalled = patient.send(request("POST", "/dicom-web/studies", &headers, half())).await;
+        let problem = stalled.problem(408, "request_timeout");
+        assert!(problem["detail"].as_str().unwrap().starts_with("No byte of the body came for"), "{problem}");
+    }
     let broken = stream::iter([Ok(Bytes::from_static(b"half")), Err(std::io::Error::other("gone"))]);
     service.post("", &[], Body::from_stream(broken)).await.problem(400, "incomplete_body");
     assert_eq!(service.store.counts().await.unwrap().reserved, 0, "lost bodies hold no place");

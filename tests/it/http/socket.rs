@@ -59,7 +59,7 @@ fn the_program_serves_and_stops_in_order() {
     assert!(health.status.success(), "{health:?}");
 
     let body = study(0).to_string();
-    let head = "POST /v1/reconstructions HTTP/1.1\r\nHost: test\r\nConnection: close\r\nContent-Type: application/json\r\n\
+    let head = "POST /v1/reconstructions HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\n\
                 Transfer-Encoding: chunked\r\n\r\n";
     let chunks: Vec<String> =
         body.as_bytes().chunks(1000).map(|chunk| format!("{:x}\r\n{}\r\n", chunk.len(), std::str::from_utf8(chunk).unwrap())).collect();
@@ -68,14 +68,23 @@ fn the_program_serves_and_stops_in_order() {
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
     assert!(answer.to_lowercase().contains("location: /v1/reconstructions/"), "{answer}");
 
-    let head = "HEAD /v1/parameters HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n";
+    let head = "HEAD /v1/parameters HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
     let answer = exchange(&program.address, head.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 200") && answer.ends_with("\r\n\r\n"), "{answer}");
     assert!(answer.to_lowercase().contains("content-length: "), "{answer}");
 
+    // Another machine's name that leads here for the moment, and another site's page: nobody is asked who he is, so they are.
+    let ask = |method: &str, headers: &str| {
+        exchange(&program.address, format!("{method} /v1/reconstructions HTTP/1.1\r\nConnection: close\r\n{headers}\r\n").as_bytes())
+    };
+    let rebound = ask("GET", "Host: rebound.example:8080\r\n");
+    assert!(rebound.starts_with("HTTP/1.1 403") && rebound.contains("host_not_allowed") && rebound.contains("--allowed-host"), "{rebound}");
+    assert!(ask("GET", "Host: localhost:8080\r\n").starts_with("HTTP/1.1 200"));
+    let of_page = ask("POST", "Host: localhost:8080\r\nOrigin: https://page.example\r\nContent-Type: text/plain\r\nContent-Length: 0\r\n");
+    assert!(of_page.starts_with("HTTP/1.1 403") && of_page.contains("cross_site_request"), "{of_page}");
+
     // Announced too large: refused before the body is sent.
-    let head =
-        "POST /v1/reconstructions HTTP/1.1\r\nHost: test\r\nConnection: close\r\nExpect: 100-continue\r\nContent-Length: 999999999\r\n\r\n";
+    let head = "POST /v1/reconstructions HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nExpect: 100-continue\r\nContent-Length: 999999999\r\n\r\n";
     let answer = exchange(&program.address, head.as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("too_large"), "{answer}");
 

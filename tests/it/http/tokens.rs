@@ -9,9 +9,12 @@ use ring::{
     signature::{self, EcdsaKeyPair, Ed25519KeyPair, KeyPair as _, RsaKeyPair},
 };
 use serde_json::{Value, json};
-use std::sync::{
-    Arc, Mutex,
-    atomic::{AtomicBool, AtomicUsize, Ordering},
+use std::{
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
+    },
+    time::{Duration, Instant},
 };
 use ventricle::{
     access::{Access, Allowances, Expected, Fetch, Issuer, IssuerSettings},
@@ -119,6 +122,8 @@ struct Provider {
     keys: Arc<Mutex<Vec<Value>>>,
     asked: Arc<AtomicUsize>,
     silent: Arc<AtomicBool>,
+    /// How long it takes to answer.
+    pauses_s: Arc<AtomicU64>,
 }
 
 impl Provider {
@@ -134,6 +139,7 @@ impl Provider {
             let provider = provider.clone();
             Box::pin(async move {
                 provider.asked.fetch_add(1, Ordering::SeqCst);
+                tokio::time::sleep(Duration::from_secs(provider.pauses_s.load(Ordering::SeqCst))).await;
                 if provider.silent.load(Ordering::SeqCst) {
                     return Err("no answer".to_owned());
                 }
@@ -275,11 +281,35 @@ async fn new_keys_of_the_provider_are_fetched_when_a_token_has_one_and_old_ones_
         list(&service, &unknown.token("made up", &claims(&json!({})))).await.problem(401, "credentials_invalid");
     }
     assert_eq!(provider.asked.load(Ordering::SeqCst), asked);
-    tokio::time::sleep(std::time::Duration::from_secs(11)).await;
+    tokio::time::sleep(Duration::from_secs(11)).await;
     assert_eq!(list(&service, &new.token("new", &claims(&json!({})))).await.status, 200);
     assert_eq!(provider.asked.load(Ordering::SeqCst), asked + 2);
     provider.silent.store(true, Ordering::SeqCst);
     assert_eq!(list(&service, &old.token("old", &claims(&json!({})))).await.status, 200, "what is known serves on");
+}
+
+#[tokio::test]
+async fn a_provider_that_takes_its_time_is_asked_once_and_waited_for_no_longer_than_a_while() {
+    let signer = Signer::es256();
+    let provider = Provider::publishing(vec![signer.published("one")]);
+    provider.pauses_s.store(7, Ordering::SeqCst);
+    let service = provider.service().await;
+    let token = signer.token("one", &claims(&json!({})));
+    let began = Instant::now();
+    let answers = futures_util::future::join_all((0..20).map(|_| list(&service, &token))).await;
+    for answer in answers {
+        answer.problem(503, "issuer_unavailable");
+    }
+    assert!(began.elapsed() < Duration::from_secs(7), "{:?}", began.elapsed());
+    assert_eq!(provider.asked.load(Ordering::SeqCst), 1);
+    // What it says in the end is there for who comes then.
+    provider.pauses_s.store(0, Ordering::SeqCst);
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while list(&service, &token).await.status != 200 {
+        assert!(Instant::now() < deadline);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    assert_eq!(provider.asked.load(Ordering::SeqCst), 2, "for its configuration and its keys");
 }
 
 #[tokio::test]

@@ -17,6 +17,7 @@ use ventricle::{
 on_both_engines! {
     a_result_is_sent_until_the_answer_names_it_as_stored,
     only_what_succeeded_is_sent_and_only_where_that_is_wished,
+    a_credential_goes_to_the_receiver_that_it_is_for_alone,
 }
 
 async fn open(place: &Place, url: String) -> Store {
@@ -37,8 +38,13 @@ fn succeeded() -> Outcome {
 
 /// Sends this document of every job.
 fn sending(document: Result<Vec<u8>, String>) -> DeliverySettings {
+    sending_with(document, None)
+}
+
+/// Likewise, with a credential for a URL.
+fn sending_with(document: Result<Vec<u8>, String>, authorization: Option<(String, String)>) -> DeliverySettings {
     let document: Document = Arc::new(move |_, _| Box::pin(std::future::ready(document.clone())));
-    let results = Some(Results { document, calling: Title::parse("VENTRICLE").unwrap(), authorization: None });
+    let results = Some(Results { document, calling: Title::parse("VENTRICLE").unwrap(), authorization });
     DeliverySettings { callbacks: None, results, ..settings(&["127.0.0.1"], &Identity::new()) }
 }
 
@@ -96,4 +102,23 @@ async fn only_what_succeeded_is_sent_and_only_where_that_is_wished(place: &Place
     let given_up = delivery(&store, broken, |delivery| delivery.state == "given_up").await;
     assert_eq!(given_up.last_error.as_deref(), Some("the document cannot be made: there is no report"));
     assert_eq!(receiver.seen().len(), 3);
+}
+
+async fn a_credential_goes_to_the_receiver_that_it_is_for_alone(place: &Place) {
+    let (before, now) = (Receiver::new(&[Some("401 Unauthorized")]).await, Receiver::new(&[Some("200 OK")]).await);
+    let store = open(place, before.url()).await;
+    let waits = ended(&store, succeeded()).await;
+    store.close().await;
+    // The operator named another receiver, and what it is to be told, before that was sent.
+    let store = open(place, now.url()).await;
+    let job = ended(&store, succeeded()).await;
+    let credential = Some((now.url(), "Bearer of the new one".to_owned()));
+    let courier = start(store.clone(), sending_with(Ok(parted::ungated(1)), credential));
+    for job in [waits, job] {
+        delivery(&store, job, |delivery| delivery.state == "given_up").await;
+    }
+    courier.stop(Duration::from_secs(5)).await;
+    assert!(now.seen().iter().all(|seen| seen.header("authorization") == "Bearer of the new one") && now.seen().len() == 3);
+    let old: Vec<_> = before.seen().iter().map(|seen| seen.head.to_lowercase()).collect();
+    assert!(old.len() == 3 && old.iter().all(|head| !head.contains("authorization:")), "{old:?}");
 }

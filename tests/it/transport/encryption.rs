@@ -53,7 +53,7 @@ async fn who_forgets_to_encrypt_is_told() {
     let identity = Identity::new();
     identity.renew();
     let service = Service::encrypted(&identity, &["--hsts-seconds", "0"]);
-    let answer = client::raw(service.address, b"GET / HTTP/1.1\r\nHost: test\r\n\r\n").await;
+    let answer = client::raw(service.address, b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
     let answer = String::from_utf8(answer).unwrap();
     assert!(answer.starts_with("HTTP/1.1 400 ") && answer.contains("HTTPS"), "{answer}");
     assert_eq!(client::raw(service.address, &[0; 64]).await, b"");

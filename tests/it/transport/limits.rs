@@ -79,7 +79,7 @@ async fn heads_that_are_too_large_are_refused_over_both_http() {
         }
     }
     // Beyond what is taken in at all, the answer is the protocol's, without a document.
-    let head = format!("GET /readyz HTTP/1.1\r\nHost: test\r\nCookie: {}\r\n\r\n", "x".repeat(70 << 10));
+    let head = format!("GET /readyz HTTP/1.1\r\nHost: localhost\r\nCookie: {}\r\n\r\n", "x".repeat(70 << 10));
     let answer = String::from_utf8(raw(address, head.as_bytes()).await).unwrap();
     assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 431 "), "{answer}");
     let (status, _, body) = Http2::over(connect().await).await.ask(with_cookie(70 << 10)).await;
@@ -93,7 +93,7 @@ async fn bodies_that_come_too_slowly_are_given_up_over_both_http() {
     let address = service.address;
     let slow = || {
         let body = stream::iter([Ok::<_, Infallible>(Bytes::from("beginning"))]).chain(stream::pending());
-        Request::post(format!("http://{address}/v1/reconstructions")).header("host", "test").body(Body::from_stream(body)).unwrap()
+        Request::post(format!("http://{address}/v1/reconstructions")).header("host", "localhost").body(Body::from_stream(body)).unwrap()
     };
     let first = client::ask(TcpStream::connect(address).await.unwrap(), slow()).await;
     let http2 = Http2::over(TcpStream::connect(address).await.unwrap()).await;
@@ -114,13 +114,13 @@ async fn no_more_connections_are_held_than_may_be() {
         assert_eq!(http2.ask(get(address, "http", "/healthz")).await.0, 200, "loopback may have more than one client may");
         held.push(http2);
     }
-    assert_eq!(raw(address, b"GET /healthz HTTP/1.1\r\nHost: test\r\n\r\n").await, b"");
+    assert_eq!(raw(address, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").await, b"");
     let (_, _, metrics) = held[0].ask(get(address, "http", "/metrics")).await;
     let metrics = String::from_utf8(metrics.to_vec()).unwrap();
     assert!(metrics.contains("\nventricle_http_connections 3\n"), "{metrics}");
     assert!(metrics.contains("\nventricle_http_connections_refused_total{reason=\"all\"} 1\n"), "{metrics}");
     held.clear();
-    let room = async { while raw(address, b"GET /healthz HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n").await.is_empty() {} };
+    let room = async { while raw(address, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await.is_empty() {} };
     timeout(PATIENCE, room).await.expect("ended connections make room");
 }
 
@@ -134,7 +134,7 @@ async fn many_large_bodies_at_once_take_no_more_memory_than_they_may() {
             let address = service.address;
             // All but the end, so that what is read is held until its time is over.
             let body = stream::iter([Ok::<_, Infallible>(Bytes::from(vec![0; BODY_BYTES - 1]))]).chain(stream::pending());
-            let request = Request::post("/v1/reconstructions").header("host", "test").header("content-length", BODY_BYTES);
+            let request = Request::post("/v1/reconstructions").header("host", "localhost").header("content-length", BODY_BYTES);
             let request = request.body(Body::from_stream(body)).unwrap();
             tokio::spawn(async move { client::ask(TcpStream::connect(address).await.unwrap(), request).await.0 })
         })

@@ -2824,7 +2824,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `submit`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -2967,7 +2967,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `submit`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3121,7 +3121,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `admin`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `admin`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3365,7 +3365,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3443,7 +3443,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3570,7 +3570,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `submit`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3686,7 +3686,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3776,7 +3776,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3873,7 +3873,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `submit`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -3975,7 +3975,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `submit`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `submit`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4136,7 +4136,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4245,7 +4245,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4336,7 +4336,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4435,7 +4435,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4534,7 +4534,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4633,7 +4633,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4732,7 +4732,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4831,7 +4831,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4930,7 +4930,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5046,7 +5046,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5145,7 +5145,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5247,7 +5247,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5355,7 +5355,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5457,7 +5457,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5559,7 +5559,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5661,7 +5661,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5760,7 +5760,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5857,7 +5857,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key or token has not the scope `read`, or a page of another site sent the request */
+            /** @description The key or token has not the scope `read`; or nobody is asked, and a page of another site sent the request, or to a name that is not the machine's */
             403: {
                 headers: {
                     [name: string]: unknown;
