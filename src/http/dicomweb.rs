@@ -10,11 +10,12 @@ use super::{
     body::{self, Arriving, BodyError},
     extract::StudyUid,
     layers::Told,
-    negotiate,
+    multipart, negotiate,
     pace::{OwnTime, Pace, Paced},
     problem::Problem,
+    stored::StoreInstancesResponse,
     uploads::Room,
-    views::{Binary, StoreInstancesResponse},
+    views::Binary,
 };
 use crate::assembly::{MOST_WAITING_BYTES, Received, Reception, Way};
 use axum::{
@@ -150,11 +151,11 @@ async fn read(state: &AppState, headers: &HeaderMap, body: Arriving, mut recepti
     // It may hold many objects, each as large as a body may be.
     let (pace, own_time) = (Pace { longer_by_bytes: limit, ..state.pace }, OwnTime::default());
     let body = Paced::new(body, pace, own_time.clone());
-    let Some(boundary) = content_type.filter(|value| body::is_multipart(value)) else {
+    let Some(boundary) = content_type.filter(|value| multipart::is_multipart(value)) else {
         reception.take(body::collect(body, limit).await?).await;
         return Ok(reception);
     };
-    let boundary = body::boundary(boundary).ok_or(BodyError::NoBoundary)?;
+    let boundary = multipart::boundary(boundary).ok_or(BodyError::NoBoundary)?;
     let flow = Arc::new(Flow::default());
     let mut multipart = multer::Multipart::new(metered(body, Arc::clone(&flow), state.study_bytes), boundary);
     let mut parts = 0;

@@ -13,6 +13,7 @@ mod archived;
 mod body;
 mod client;
 mod comparison;
+mod configured;
 mod connections;
 mod demonstration;
 mod dicomweb;
@@ -22,6 +23,7 @@ mod extract;
 mod health;
 mod layers;
 mod listener;
+mod multipart;
 mod negotiate;
 mod news;
 mod pace;
@@ -32,6 +34,7 @@ mod results;
 mod service;
 mod site;
 mod slices;
+mod stored;
 mod traces;
 mod uploads;
 mod viewer;
@@ -384,5 +387,5 @@ pub fn openapi_json() -> String {
 /// Takes a body apart as a submission is; the number of its files. For the fuzz target of multipart bodies.
 #[doc(hidden)]
 pub fn take_apart(content_type: &str, body: Vec<u8>) -> Result<usize, String> {
-    body::Upload::new(Some(content_type), body.into()).map(|upload| upload.files.len()).map_err(|error| error.to_string())
+    multipart::Upload::new(Some(content_type), body.into()).map(|upload| upload.files.len()).map_err(|error| error.to_string())
 }

@@ -3,8 +3,9 @@
 use super::{
     AppState,
     access::{About, Calling},
-    body::{self, Upload, merged_parameters},
+    body,
     extract::{Id, Query},
+    multipart::{Upload, merged_parameters},
     negotiate,
     problem::Problem,
     uploads::Room,
