@@ -177,10 +177,10 @@ fn what_is_done_for_a_client_that_goes_away_has_its_line_and_so_has_a_job_howeve
         write!(stream, "DELETE /v1/reconstructions/{job} HTTP/1.1\r\nhost: {host}\r\n\r\n").unwrap();
         std::thread::sleep(Duration::from_micros(wait_us));
     }
-    let written = jobs[0].replacen('0', "%30", 1);
-    assert_eq!(service.get(&format!("/v1/reconstructions/{written}")).status, 404);
+    // Of some the request was not read before its client was gone.
     let gone: Vec<&String> = jobs.iter().filter(|job| service.get(&format!("/v1/reconstructions/{job}")).status == 404).collect();
-    assert!(!gone.is_empty());
+    let written = gone.first().unwrap().replacen('0', "%30", 1);
+    assert_eq!(service.get(&format!("/v1/reconstructions/{written}")).status, 404);
     let start = Instant::now();
     let told = |job: &str| {
         let of_it = |line: &Value| line["what"] == "DELETE /v1/reconstructions/{id}" && line["jobs"] == json!([job]);
@@ -190,7 +190,7 @@ fn what_is_done_for_a_client_that_goes_away_has_its_line_and_so_has_a_job_howeve
         assert!(start.elapsed() < SOON, "{} jobs are gone, not all by a line", gone.len());
         std::thread::sleep(Duration::from_millis(50));
     }
-    let looks = audited(&log, 1).iter().filter(|line| line["status"] == 404 && line["jobs"] == json!([jobs[0]])).count();
+    let looks = audited(&log, 1).iter().filter(|line| line["status"] == 404 && line["jobs"] == json!([gone[0]])).count();
     assert_eq!(looks, 2, "once by each form");
 }
 
